@@ -1,7 +1,7 @@
 //! What an update says about itself.
 //!
-//! **A learner's sign of life is progress.** While it trains it speaks only when another mini-batch has begun, so
-//! that an update which stands still is found out like a process that does.
+//! **A learner's sign of life is progress.** While it trains it speaks only when another shard, chunk of
+//! samples or mini-batch has begun, so that an update which stands still is found out like a process that does.
 
 /// Losses and diagnostics of an update, one entry an actor.
 #[derive(Debug, Clone, Default, PartialEq)]

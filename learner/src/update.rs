@@ -12,8 +12,8 @@ pub trait Update {
     /// What an update can record of what it computed, for tests.
     type Trace;
 
-    /// A counter that grows with every mini-batch, to be watched from another thread: while an
-    /// update is under way and it stands still, nothing is computed.
+    /// A counter that grows with every part of an update, however many samples an iteration has, to be watched from
+    /// another thread: while an update is under way and it stands still, nothing is computed.
     fn work(&self) -> Arc<AtomicU64>;
 
     /// Trains `state` on the blocks of one iteration, ordered by shard.

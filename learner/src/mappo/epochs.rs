@@ -2,8 +2,6 @@
 //!
 //! Letters as in [`super`].
 
-use std::sync::atomic::Ordering;
-
 use proto::rng::{Address, Purpose, permutation};
 use tch::{Kind, Tensor};
 
@@ -64,8 +62,8 @@ impl Group {
                     rows,
                     moments: moments.as_ref(),
                     step: (epoch, mini_batch),
+                    work: inputs.work,
                 };
-                inputs.work.fetch_add(1, Ordering::Relaxed);
                 // Actors that are held back stay where they are; how far that is, only steering asks for.
                 let idle = !active.contains(&true) && options.target_kl == 0.0 && trace.is_none();
                 if !idle {

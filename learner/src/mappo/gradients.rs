@@ -2,6 +2,8 @@
 //!
 //! Letters as in [`super`].
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use tch::{Kind, Tensor};
 
 use super::group::Group;
@@ -20,6 +22,8 @@ pub(super) struct MiniBatch<'a> {
     pub(super) moments: Option<&'a (Tensor, Tensor)>,
     /// Epoch and mini-batch.
     pub(super) step: (usize, usize),
+    /// Counts chunks.
+    pub(super) work: &'a AtomicU64,
 }
 
 impl Group {
@@ -60,7 +64,7 @@ impl Group {
         network: &NetworkPart,
         batch: &MiniBatch<'_>,
     ) -> Vec<f32> {
-        let MiniBatch { options, samples, rows, .. } = *batch;
+        let MiniBatch { options, samples, rows, work, .. } = *batch;
         let loss = &options.actor_loss;
         let a = self.actors.len as i64;
         let u = network.spec.output;
@@ -71,6 +75,7 @@ impl Group {
         let (mut log_std_gradient, mut statistics) = (zeros(u), zeros(STATISTICS as i64));
         let rows = Tensor::from_slice(rows).to_device(self.device);
         for chunk in chunks(len, self.chunk_samples) {
+            work.fetch_add(1, Ordering::Relaxed);
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
             let x = compute.by_network(&samples.observation.index_select(0, &rows));
             let samples = ActorSamples(columns(&samples.actor.index_select(0, &rows), a));
@@ -88,13 +93,14 @@ impl Group {
     }
 
     fn critic_gradient_by_operations(&mut self, batch: &MiniBatch<'_>) -> Vec<f32> {
-        let MiniBatch { options, samples, rows, moments, .. } = *batch;
+        let MiniBatch { options, samples, rows, moments, work, .. } = *batch;
         let (a, critics) = (self.actors.len as i64, self.critics.len as i64);
         let len = rows.len() as i64;
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
         let mut total = Tensor::zeros([a], (Kind::Float, self.device));
         let rows = Tensor::from_slice(rows).to_device(self.device);
         for chunk in chunks(len, self.chunk_samples) {
+            work.fetch_add(1, Ordering::Relaxed);
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
             let x = match &samples.state {
                 Some(state) => compute.for_all(&state.index_select(0, &rows)),

@@ -36,7 +36,7 @@ pub(super) struct IterationInputs<'a> {
     pub(super) layout: &'a BlockLayout,
     pub(super) dimensions: &'a Dimensions,
     pub(super) options: &'a Options,
-    /// Counts the mini-batches begun.
+    /// Counts the shards and chunks begun.
     pub(super) work: &'a AtomicU64,
     pub(super) iteration: u64,
     /// One an actor.

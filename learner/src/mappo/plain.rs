@@ -4,6 +4,8 @@
 //!
 //! Letters as in [`super`].
 
+use std::sync::atomic::Ordering;
+
 use tch::{Kind, Tensor};
 
 use super::gradients::MiniBatch;
@@ -22,7 +24,7 @@ impl Group {
         network: &NetworkPart,
         batch: &MiniBatch<'_>,
     ) -> Vec<f32> {
-        let MiniBatch { options, samples, rows, .. } = *batch;
+        let MiniBatch { options, samples, rows, work, .. } = *batch;
         let loss = &options.actor_loss;
         let (a, n) = (self.actors.len, network.spec.n_networks);
         let u = network.spec.output as usize;
@@ -40,6 +42,7 @@ impl Group {
         let NetworkPasses { compute, gradient, .. } = &mut self.actor;
         let mut total = vec![0.0; a * (STATISTICS + u)];
         for range in chunks(rows.len() as i64, self.chunk_samples) {
+            work.fetch_add(1, Ordering::Relaxed);
             let part = &rows[range.start as usize..range.end as usize];
             let x = compute.by_network(gather(&samples.observation, part, &mut room.seen[0]));
             gather_columns(&samples.actor, part, &mut room.columns);
@@ -74,11 +77,12 @@ impl Group {
     /// [`Group::critic_gradient`] on a CPU.
     #[expect(unsafe_code, reason = "only here is it known that nobody writes meanwhile")]
     pub(super) fn plain_critic_gradient(&mut self, batch: &MiniBatch<'_>) -> Vec<f32> {
-        let MiniBatch { options, samples, rows, moments, .. } = *batch;
+        let MiniBatch { options, samples, rows, moments, work, .. } = *batch;
         let room = self.plain.as_mut().expect("on a CPU");
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
         let mut total = vec![0.0; self.actors.len];
         for range in chunks(rows.len() as i64, self.chunk_samples) {
+            work.fetch_add(1, Ordering::Relaxed);
             let part = &rows[range.start as usize..range.end as usize];
             let x = match &samples.state {
                 Some(state) => compute.for_all(gather(state, part, &mut room.seen[1])),

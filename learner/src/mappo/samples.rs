@@ -4,6 +4,7 @@
 //! Letters as in [`super`].
 
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use proto::layout::Dimensions;
 use tch::{Kind, Tensor};
@@ -81,6 +82,7 @@ impl Group {
 
         let actor_columns = actor.view([t, e, a, u + 2]);
         for (index, shard) in job.shards.iter().enumerate() {
+            job.work.fetch_add(1, Ordering::Relaxed);
             let in_place = |range: &Range<usize>, shape: &[i64]| {
                 // SAFETY: `job` borrows the shards for longer than this function runs. What is made of
                 // one is read, copied into the tensors above, and gone at the end of this turn.
@@ -110,7 +112,8 @@ impl Group {
         }
 
         let reward = over_agents(&agent_reward);
-        let value = self.values(&observations, states.as_ref(), critic, (t + 1) * e);
+        let seen = (&observations, states.as_ref());
+        let value = self.values(seen, critic, (t + 1) * e, job.work);
         let scaled = if options.value_norm_beta.is_some() {
             let (mean, std) = moments(value_norm);
             &value * std + mean
@@ -153,15 +156,16 @@ impl Group {
     /// The critics' predictions `[A, rows]` for the first `rows` samples.
     fn values(
         &mut self,
-        observation: &Tensor,
-        state: Option<&Tensor>,
+        (observation, state): (&Tensor, Option<&Tensor>),
         critic: &Tensor,
         rows: i64,
+        work: &AtomicU64,
     ) -> Tensor {
         let value = Tensor::empty([self.actors.len as i64, rows], (Kind::Float, self.device));
         let compute = &mut self.critic.compute;
         compute.load(critic);
         for chunk in chunks(rows, self.chunk_samples) {
+            work.fetch_add(1, Ordering::Relaxed);
             let len = chunk.end - chunk.start;
             let x = match state {
                 Some(state) => compute.for_all(&state.narrow(0, chunk.start, len)),

@@ -181,15 +181,27 @@ fn a_deviation_stops_at_its_floor_and_leaves_it_when_the_loss_asks_for_it() {
     assert!(later.iter().all(|&x| x > -0.7), "{later:?}");
 }
 
+/// A learner was taken for hung that prepared a very large iteration, or whose mini-batches were as large.
 #[test]
-fn an_update_counts_its_mini_batches_while_it_makes_them() {
+fn an_update_counts_what_it_computes_in_parts_of_bounded_size() {
     let _alone = crate::alone();
     let config = config(&["run.learner_threads=1"]);
     let mut run = Run::new(&config, Arithmetic::F32);
+    let chunk = 10;
+    for group in &mut run.mappo.groups {
+        group.chunk_samples = chunk;
+    }
     let work = run.mappo.work();
     run.update(1);
-    let a_group = config.algorithm.epochs * config.algorithm.mini_batches;
-    let planned = (run.dimensions.n_agents * a_group) as u64;
+    let proto::layout::Dimensions { n_agents, n_steps, n_envs, n_shards, .. } = run.dimensions;
+    let envs = n_envs * n_shards;
+    let in_chunks = |samples: usize| samples.div_ceil(chunk as usize);
+    let preparation = n_shards + in_chunks((n_steps + 1) * envs);
+    let m = n_steps * envs;
+    let n = config.algorithm.mini_batches;
+    // Once for actors and once for critics.
+    let epoch: usize = (0..n).map(|i| 2 * in_chunks((i + 1) * m / n - i * m / n)).sum();
+    let planned = (n_agents * (preparation + config.algorithm.epochs * epoch)) as u64;
     assert_eq!(work.load(Ordering::Relaxed), planned);
     run.update(2);
     assert_eq!(work.load(Ordering::Relaxed), 2 * planned);
