@@ -1,15 +1,17 @@
 //! Numbers that are computed side by side: one, or those of several registers.
 //!
-//! A formula that is written for [`Lanes`] is both the readable twin and the fast path. Registers are computed in turns, step by step: a step waits for
-//! the one before it, and meanwhile others do theirs.
+//! A formula for [`Lanes`] is written once, for the readable twin and for the fast path. Registers take each step of it in turns: while one waits for
+//! its last step, others take theirs.
 
 use crate::features::mul_add;
 
 /// Numbers side by side.
 pub(crate) trait Lanes: Copy {
-    /// A constant, the same number in all places. Formulas are given theirs, which stay in registers while they are computed again and again: the compiler would
-    /// fetch them each time.
-    fn constant(x: f32) -> Self;
+    /// That the processor can compute them.
+    type Can: Copy;
+
+    /// The same number in all places. Made once and kept in registers; a literal would be loaded from memory for each row.
+    fn constant(can: Self::Can, x: f32) -> Self;
     fn plus(self, other: Self) -> Self;
     fn times(self, other: Self) -> Self;
     /// self · b + c, in one rounding if `FMA`.
@@ -18,7 +20,8 @@ pub(crate) trait Lanes: Copy {
     fn at_least(self, bound: Self) -> Self;
     /// `then` where the number is positive, `otherwise` elsewhere.
     fn if_positive(self, then: Self, otherwise: Self) -> Self;
-    /// self · 2ⁿ, if that is a normal number and −126 ≤ n ≤ 127: of whole numbers n and their sums with [`ROUND`].
+    /// self · 2ⁿ, if that is a normal number and −126 ≤ n ≤ 0. `n` is whole, and `sum` is its sum with [`ROUND`]: one number reads the second, registers read the
+    /// first.
     fn times_power_of_two(self, n: Self, sum: Self) -> Self;
 }
 
@@ -26,8 +29,10 @@ pub(crate) trait Lanes: Copy {
 pub(crate) const ROUND: f32 = 12_582_912.0;
 
 impl Lanes for f32 {
+    type Can = ();
+
     #[inline(always)]
-    fn constant(x: f32) -> Self {
+    fn constant((): (), x: f32) -> Self {
         x
     }
     #[inline(always)]
@@ -57,6 +62,11 @@ impl Lanes for f32 {
     }
 }
 
+/// That the code at hand is compiled for AVX-512.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy)]
+pub(crate) struct Avx512(());
+
 /// The numbers of V registers of 512 bits.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy)]
@@ -71,13 +81,20 @@ mod registers {
         _mm512_max_ps, _mm512_mul_ps, _mm512_scalef_ps, _mm512_set1_ps, _mm512_setzero_ps,
     };
 
-    use super::{Lanes, Registers};
+    use super::{Avx512, Lanes, Registers};
 
-    impl<const V: usize> Registers<V> {
+    impl Avx512 {
         /// # Safety
         /// It is only used by code that is compiled for AVX-512.
         #[inline(always)]
-        pub(crate) unsafe fn new(registers: [__m512; V]) -> Self {
+        pub(crate) unsafe fn new() -> Self {
+            Self(())
+        }
+    }
+
+    impl<const V: usize> Registers<V> {
+        #[inline(always)]
+        pub(crate) fn new(_: Avx512, registers: [__m512; V]) -> Self {
             Self(registers)
         }
 
@@ -94,7 +111,7 @@ mod registers {
         let mut register = _mm512_set1_ps(x);
         // SAFETY: it does nothing.
         unsafe {
-            asm!("/* {} */", inout(zmm_reg) register, options(nomem, nostack, preserves_flags));
+            asm!("/* {} */", inout(zmm_reg) register, options(pure, nomem, nostack, preserves_flags));
         }
         register
     }
@@ -103,7 +120,7 @@ mod registers {
     macro_rules! each {
         ($y:ident, |$v:ident| $step:expr) => {{
             for $v in 0..V {
-                // SAFETY: who made the registers promised that.
+                // SAFETY: there are no registers without `Avx512`.
                 $y.0[$v] = unsafe { $step };
             }
             $y
@@ -111,9 +128,11 @@ mod registers {
     }
 
     impl<const V: usize> Lanes for Registers<V> {
+        type Can = Avx512;
+
         #[inline(always)]
-        fn constant(x: f32) -> Self {
-            // SAFETY: whoever has formulas for registers is compiled for them.
+        fn constant(_: Avx512, x: f32) -> Self {
+            // SAFETY: the features are there.
             Self([unsafe { kept(x) }; V])
         }
         #[inline(always)]

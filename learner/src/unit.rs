@@ -11,9 +11,9 @@ pub(crate) enum Unit {
     Elu,
 }
 
-/// [`Unit`] as passes are compiled for it, with its constants.
+/// A [`Unit`] with its constants, as passes are compiled for it.
 pub(crate) trait Nonlinearity<L: Lanes>: Copy {
-    fn new() -> Self;
+    fn new(can: L::Can) -> Self;
     fn of<const FMA: bool>(self, x: L) -> L;
     /// The gradient by x from that by what became of it.
     fn back<const FMA: bool>(self, x: L, d: L) -> L;
@@ -28,8 +28,8 @@ pub(crate) struct Relu<L> {
 
 impl<L: Lanes> Nonlinearity<L> for Relu<L> {
     #[inline(always)]
-    fn new() -> Self {
-        Self { zero: L::constant(0.0) }
+    fn new(can: L::Can) -> Self {
+        Self { zero: L::constant(can, 0.0) }
     }
     #[inline(always)]
     fn of<const FMA: bool>(self, x: L) -> L {
@@ -54,9 +54,9 @@ pub(crate) struct Elu<L> {
 
 impl<L: Lanes> Nonlinearity<L> for Elu<L> {
     #[inline(always)]
-    fn new() -> Self {
-        let [one, minus_one] = [L::constant(1.0), L::constant(-1.0)];
-        Self { one, minus_one, exponential: Exponential::new() }
+    fn new(can: L::Can) -> Self {
+        let [one, minus_one] = [L::constant(can, 1.0), L::constant(can, -1.0)];
+        Self { one, minus_one, exponential: Exponential::new(can) }
     }
     #[inline(always)]
     fn of<const FMA: bool>(self, x: L) -> L {
@@ -87,8 +87,8 @@ struct Exponential<L> {
 
 impl<L: Lanes> Exponential<L> {
     #[inline(always)]
-    fn new() -> Self {
-        let c = L::constant;
+    fn new(can: L::Can) -> Self {
+        let c = |x| L::constant(can, x);
         Self {
             // Below, eˣ is no normal number.
             least: c(-87.0),
@@ -134,30 +134,51 @@ impl<L: Lanes> Exponential<L> {
 }
 
 #[cfg(test)]
+impl Unit {
+    /// What becomes of `x`, as loops compiled for this processor have it.
+    pub(crate) fn of(self, x: f32) -> f32 {
+        match (self, crate::features::Features::detect()) {
+            (Self::Relu, _) => Relu::new(()).of::<false>(x),
+            (Self::Elu, crate::features::Features::Any) => Elu::new(()).of::<false>(x),
+            (Self::Elu, _) => Elu::new(()).of::<true>(x),
+        }
+    }
+
+    /// The gradient `d` before the unit, from what became of it.
+    pub(crate) fn back_from_result(self, y: f32, d: f32) -> f32 {
+        match self {
+            Self::Relu => Relu::new(()).back_from_result(y, d),
+            Self::Elu => Elu::new(()).back_from_result(y, d),
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
-    /// To the bit, for all numbers that bfloat16 has.
+    /// To the bit, for numbers of all sizes: with fewer digits and with many, infinite ones and NaN.
     #[cfg(target_arch = "x86_64")]
     #[expect(unsafe_code, reason = "instructions of detected processor features")]
     #[test]
     fn registers_hold_what_numbers_become_one_by_one() {
-        use crate::features::Features;
         use std::arch::x86_64::__m512;
         use std::mem::transmute;
 
-        use crate::lanes::Registers;
+        use crate::features::Features;
+        use crate::lanes::{Avx512, Registers};
 
         #[target_feature(enable = "avx512f")]
         fn in_registers(x: [f32; 32]) -> [[f32; 32]; 4] {
-            // SAFETY: arrays of numbers are of one size with registers, and every bit pattern is a value of both.
+            // SAFETY: compiled for AVX-512; arrays of numbers are of one size with registers, and every bit pattern is a value of both.
             unsafe {
-                let x = Registers::new(transmute::<[f32; 32], [__m512; 2]>(x));
+                let can = Avx512::new();
+                let x = Registers::new(can, transmute::<[f32; 32], [__m512; 2]>(x));
                 let made = [
-                    Relu::new().of::<true>(x),
-                    Elu::new().of::<true>(x),
-                    Relu::new().back_from_result(x, x),
-                    Elu::new().back_from_result(x, x),
+                    Relu::new(can).of::<true>(x),
+                    Elu::new(can).of::<true>(x),
+                    Relu::new(can).back_from_result(x, x),
+                    Elu::new(can).back_from_result(x, x),
                 ];
                 made.map(|registers| transmute::<[__m512; 2], [f32; 32]>(registers.get()))
             }
@@ -166,16 +187,17 @@ mod tests {
         if !matches!(Features::detect(), Features::Avx512(_) | Features::Avx512Bf16(_)) {
             return;
         }
-        for start in (0..1_u32 << 16).step_by(32) {
-            let x: [f32; 32] = std::array::from_fn(|i| f32::from_bits((start + i as u32) << 16));
+        for (start, digits) in (0..1 << 16).step_by(32).flat_map(|i| [(i, 0), (i, 0x9e37)]) {
+            let x: [f32; 32] =
+                std::array::from_fn(|i| f32::from_bits((start + i as u32) << 16 | digits));
             // SAFETY: just asked for.
             let found = unsafe { in_registers(x) };
             for (i, x) in x.into_iter().enumerate() {
                 let expected = [
-                    Relu::new().of::<true>(x),
-                    Elu::new().of::<true>(x),
-                    Relu::new().back_from_result(x, x),
-                    Elu::new().back_from_result(x, x),
+                    Relu::new(()).of::<true>(x),
+                    Elu::new(()).of::<true>(x),
+                    Relu::new(()).back_from_result(x, x),
+                    Elu::new(()).back_from_result(x, x),
                 ];
                 for (found, expected) in found.iter().zip(expected) {
                     let same = found[i].to_bits() == expected.to_bits();
@@ -187,7 +209,7 @@ mod tests {
 
     #[test]
     fn the_exponential_is_that_of_the_standard_library() {
-        let exponential = Exponential::<f32>::new();
+        let exponential = Exponential::<f32>::new(());
         for i in 0..87_000 {
             let x = -(i as f32) * 1e-3;
             let exact = f64::from(x).exp();

@@ -11,7 +11,7 @@
 //! dg = Σ_out W ⊙ dW′, ds = W db′. No affine map runs over samples.
 //!
 //! **Two implementations** of one trait (`passes.rs`). On a CPU with ReLU or ELU, what stands between two products is one pass over the samples in
-//! plain Rust, and the head is part of the last one (`plain.rs`, whose loops over samples are in `fused.rs`); products in bf16 are our own where one thread computes, if
+//! plain Rust, and the head is part of the last one (`plain.rs`, whose loops over samples are in `rows.rs`); products in bf16 are our own where one thread computes, if
 //! the processor has instructions for them (`products.rs`). Everything else goes the general
 //! way, operation by operation of libtorch (`torch.rs`), which is also the twin that tests the other.
 //!
@@ -27,11 +27,11 @@
 //! `R = B·K` rows of a network, `H` width of a layer, `U` outputs.
 
 mod compute;
-mod fused;
 mod passes;
 mod plain;
 mod products;
 mod rounding;
+mod rows;
 mod stack;
 mod torch;
 

@@ -1,11 +1,12 @@
-//! The passes on a CPU with ReLU or ELU: what stands between two products (`products.rs`) is one loop over the samples in plain Rust, or a part of the products.
+//! The passes on a CPU with ReLU or ELU: what stands between two products (`products.rs`) is one loop over the samples in plain Rust. Products of our own go
+//! through the units themselves, unless there is a LayerNorm; what is left of the loop is the head.
 
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes};
 use super::passes::{Passes, StepGradient};
 use super::products::Products;
+use super::rows::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes};
 use super::stack::Stack;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};

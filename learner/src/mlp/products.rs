@@ -256,8 +256,8 @@ fn biases(stack: &Stack, layer: usize, network: usize) -> Biases {
     let own = stack.biases(layer) != stack.networks();
     Biases {
         first: network * width,
-        step: if own { stack.spec.n_networks * width } else { 0 },
-        actors: stack.spec.rows_per_network() as usize,
+        step: stack.spec.n_networks * width,
+        actors: if own { stack.spec.rows_per_network() as usize } else { 1 },
     }
 }
 

@@ -71,8 +71,8 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     let compare = |arithmetic, way, tolerance| {
                         compare(&config, (kind, sees), arithmetic, way, tolerance)
                     };
-                    compare(Arithmetic::F32, Way::Fused, 3e-6);
-                    let fused = compare(Arithmetic::Bf16, Way::Fused, 0.3);
+                    compare(Arithmetic::F32, Way::Theirs, 3e-6);
+                    let theirs = compare(Arithmetic::Bf16, Way::Theirs, 0.3);
                     for device in [Some(Device::Cpu), crate::gpu()].into_iter().flatten() {
                         compare(Arithmetic::F32, Way::Operations(device), 3e-6);
                         compare(Arithmetic::Bf16, Way::Operations(device), 0.3);
@@ -80,8 +80,8 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     // The same roundings, but for a last place of a sum here and there.
                     for native in Native::all() {
                         let own = compare(Arithmetic::Bf16, Way::Own(native), 0.3);
-                        for (own, fused) in own.iter().zip(&fused) {
-                            let error = relative(own, fused);
+                        for (own, theirs) in own.iter().zip(&theirs) {
+                            let error = relative(own, theirs);
                             assert!(error < 1e-2, "{native:?} and libtorch: {error}");
                         }
                     }
@@ -97,7 +97,7 @@ enum Way {
     /// With products of our own, where one pass over the samples stands between them.
     Own(Native),
     /// With libtorch's products.
-    Fused,
+    Theirs,
     /// With libtorch's operations alone.
     Operations(Device),
 }
@@ -158,7 +158,7 @@ fn compare(
                     compute.passes = Box::new(passes);
                 }
             }
-            Way::Fused => {}
+            Way::Theirs => {}
             Way::Operations(_) => compute.passes = Box::new(TorchPasses::new(&compute.stack)),
         }
         let input = |compute: &Compute, x: &Tensor| match sees {

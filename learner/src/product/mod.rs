@@ -2,8 +2,8 @@
 //!
 //! libtorch multiplies, too, and does so with several threads, in f32, on other processors and on a GPU. But with matrices as small as a
 //! mini-batch's it looks up a kernel for each product, packs both factors each time, and copies what comes out to where it is wanted. Here weights
-//! are packed once a step, gradients of weights go to their place at once, networks that see the same share one input, and sums go through a layer's units before
-//! they are put: tiles multiply by themselves, and meanwhile the vector instructions are free for that.
+//! are packed once a step, gradients of weights go to their place at once, networks that see the same share one input,
+//! and sums go through a layer's units before they are put: tiles multiply by themselves, and meanwhile vector instructions have nothing else to do.
 //!
 //! **Arithmetic.** With pairs, an element of a product is one chain of sums in f32, two products a link, in the order of the inner index, rounded to
 //! bfloat16 at the end. With tiles, a link is 32 products: the sum of the 16 with an even inner index, one after the other, and that of the others. So which
@@ -37,5 +37,7 @@ pub(crate) use operands::{Left, Out};
 pub(crate) use packed::Packed;
 pub(crate) use units::{Activations, Biases, Gradients};
 
+#[cfg(all(test, unix))]
+mod guarded;
 #[cfg(test)]
 mod tests;

@@ -23,6 +23,7 @@ pub(crate) fn multiply(native: Native, left: Left<'_>, right: &Packed, out: Out<
     };
     assert_eq!(out.len(), rows * columns, "the product has another size");
     assert!(inner > 0, "factors of nothing");
+    out.check(columns);
     match native {
         #[cfg(target_arch = "x86_64")]
         Native::Pairs(pairs) => super::pairs::multiply(pairs, left, right, out, rows),

@@ -38,4 +38,19 @@ impl Out<'_> {
             Self::Gradients(units) => units.out.len(),
         }
     }
+
+    /// # Panics
+    /// If what units need does not fit a product of so many columns.
+    pub(super) fn check(&self, columns: usize) {
+        match self {
+            Self::Rounded(_) | Self::Widened(_) | Self::Added(_) => {}
+            Self::Activations(Activations { bias, biases, .. }) => {
+                biases.check(bias.len(), columns);
+            }
+            Self::Gradients(Gradients { hidden, bias_gradient, biases, out, .. }) => {
+                assert_eq!(hidden.len(), out.len(), "the activations have another size");
+                biases.check(bias_gradient.len(), columns);
+            }
+        }
+    }
 }

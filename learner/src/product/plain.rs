@@ -3,9 +3,7 @@
 use super::operands::{Left, Out};
 use super::packed::Packed;
 use super::panel::PANEL;
-use crate::features::Features;
 use crate::number::{Bf16, Number};
-use crate::unit::{Elu, Nonlinearity as _, Relu, Unit};
 
 /// The product of `left` `[rows, K]` with `right` `[K, N]`: an element is one chain of sums.
 pub(super) fn multiply(left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
@@ -27,19 +25,11 @@ pub(super) fn multiply(left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: u
                 Out::Added(out) => out[at] += rounded.widen(),
                 Out::Activations(units) => {
                     let x = rounded.widen() + units.bias[units.biases.of(row) + column];
-                    let fused = Features::detect() != Features::Any;
-                    units.out[at] = Bf16::round(match (units.unit, fused) {
-                        (Unit::Relu, _) => Relu::new().of::<false>(x),
-                        (Unit::Elu, false) => Elu::new().of::<false>(x),
-                        (Unit::Elu, true) => Elu::new().of::<true>(x),
-                    });
+                    units.out[at] = Bf16::round(units.unit.of(x));
                 }
                 Out::Gradients(units) => {
                     let (hidden, d) = (units.hidden[at].widen(), rounded.widen());
-                    let d = match units.unit {
-                        Unit::Relu => Relu::new().back_from_result(hidden, d),
-                        Unit::Elu => Elu::new().back_from_result(hidden, d),
-                    };
+                    let d = units.unit.back_from_result(hidden, d);
                     units.bias_gradient[units.biases.of(row) + column] += d;
                     units.out[at] = Bf16::round(d);
                 }

@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 
 use super::registers::{BOTH, add, load, load_widened, rounded, store, store_rounded};
 use super::units::{Activations, Biases, Gradients};
-use crate::lanes::Registers;
+use crate::lanes::{Avx512, Registers};
 use crate::number::Bf16;
 use crate::unit::{Elu, Nonlinearity, Relu};
 
@@ -27,7 +27,7 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// At most those of a panel.
+    /// Columns of this panel: 32, or fewer in the last one.
     #[inline(always)]
     fn len(self) -> usize {
         BOTH.min(self.columns - self.column)
@@ -54,13 +54,15 @@ pub(super) trait Put {
     type Next;
 
     /// Before some rows are put.
-    fn begin(&mut self, rows: Rows) -> Self::Next;
+    ///
+    /// # Safety
+    /// Called from code that is compiled for AVX-512 with bfloat16.
+    unsafe fn begin(&mut self, rows: Rows) -> Self::Next;
 
     /// Puts a row's sums, as many as there are columns of its panel, and goes on to the next row.
     ///
     /// # Safety
-    /// Called from code that is compiled for AVX-512 with bfloat16, after [`Self::begin`] and at most as often as there are rows. Meanwhile nobody else uses what is
-    /// written.
+    /// As for [`Self::begin`], and after it, at most as often as there are rows. Meanwhile nobody else uses what is written.
     unsafe fn put(next: &mut Self::Next, sums: [__m512; 2]);
 }
 
@@ -128,7 +130,7 @@ impl Put for Rounded<'_> {
     type Next = Place<Bf16>;
 
     #[inline(always)]
-    fn begin(&mut self, rows: Rows) -> Place<Bf16> {
+    unsafe fn begin(&mut self, rows: Rows) -> Place<Bf16> {
         Place::new(self.0, rows)
     }
 
@@ -147,7 +149,7 @@ impl Put for Widened<'_> {
     type Next = Place<f32>;
 
     #[inline(always)]
-    fn begin(&mut self, rows: Rows) -> Place<f32> {
+    unsafe fn begin(&mut self, rows: Rows) -> Place<f32> {
         Place::new(self.0, rows)
     }
 
@@ -166,7 +168,7 @@ impl Put for Added<'_> {
     type Next = Place<f32>;
 
     #[inline(always)]
-    fn begin(&mut self, rows: Rows) -> Place<f32> {
+    unsafe fn begin(&mut self, rows: Rows) -> Place<f32> {
         Place::new(self.0, rows)
     }
 
@@ -179,16 +181,23 @@ impl Put for Added<'_> {
 }
 
 /// Through units `N`.
-pub(super) struct Through<'a, N>(pub(super) Activations<'a>, pub(super) PhantomData<N>);
+pub(super) struct Through<'a, N>(Activations<'a>, PhantomData<N>);
+
+impl<'a, N> Through<'a, N> {
+    pub(super) fn new(units: Activations<'a>) -> Self {
+        Self(units, PhantomData)
+    }
+}
 
 impl<N: Nonlinearity<Registers<2>>> Put for Through<'_, N> {
     type Next = (Place<Bf16>, BiasPlace, N);
 
     #[inline(always)]
-    fn begin(&mut self, rows: Rows) -> Self::Next {
+    unsafe fn begin(&mut self, rows: Rows) -> Self::Next {
         let Activations { bias, biases, out, .. } = &mut self.0;
         let bias = BiasPlace::new(bias.as_ptr().cast_mut(), bias.len(), *biases, rows);
-        (Place::new(out, rows), bias, N::new())
+        // SAFETY: the caller's promise.
+        (Place::new(out, rows), bias, N::new(unsafe { Avx512::new() }))
     }
 
     #[inline(always)]
@@ -198,7 +207,7 @@ impl<N: Nonlinearity<Registers<2>>> Put for Through<'_, N> {
             let [first, second] = rounded(sums);
             let biases = load(bias.at, place.len);
             let x = [_mm512_add_ps(first, biases[0]), _mm512_add_ps(second, biases[1])];
-            let made = unit.of::<true>(Registers::new(x)).get();
+            let made = unit.of::<true>(Registers::new(Avx512::new(), x)).get();
             store_rounded(made, place.at, place.len);
         }
         place.go_on();
@@ -207,26 +216,34 @@ impl<N: Nonlinearity<Registers<2>>> Put for Through<'_, N> {
 }
 
 /// Back through units `N`.
-pub(super) struct Back<'a, N>(pub(super) Gradients<'a>, pub(super) PhantomData<N>);
+pub(super) struct Back<'a, N>(Gradients<'a>, PhantomData<N>);
+
+impl<'a, N> Back<'a, N> {
+    pub(super) fn new(units: Gradients<'a>) -> Self {
+        Self(units, PhantomData)
+    }
+}
 
 impl<N: Nonlinearity<Registers<2>>> Put for Back<'_, N> {
     type Next = (Place<Bf16>, *const Bf16, BiasPlace, N);
 
     #[inline(always)]
-    fn begin(&mut self, rows: Rows) -> Self::Next {
+    unsafe fn begin(&mut self, rows: Rows) -> Self::Next {
         let Gradients { hidden, bias_gradient, biases, out, .. } = &mut self.0;
         let hidden = hidden.as_ptr().wrapping_add(rows.begin(hidden.len()));
         let len = bias_gradient.len();
         let bias = BiasPlace::new(bias_gradient.as_mut_ptr(), len, *biases, rows);
-        (Place::new(out, rows), hidden, bias, N::new())
+        // SAFETY: the caller's promise.
+        (Place::new(out, rows), hidden, bias, N::new(unsafe { Avx512::new() }))
     }
 
     #[inline(always)]
     unsafe fn put((place, hidden, bias, unit): &mut Self::Next, sums: [__m512; 2]) {
         // SAFETY: the caller's promise.
         unsafe {
-            let y = Registers::new(load_widened(*hidden, place.len));
-            let made = unit.back_from_result(y, Registers::new(rounded(sums))).get();
+            let can = Avx512::new();
+            let y = Registers::new(can, load_widened(*hidden, place.len));
+            let made = unit.back_from_result(y, Registers::new(can, rounded(sums))).get();
             add(made, bias.at, place.len);
             store_rounded(made, place.at, place.len);
         }
@@ -238,41 +255,43 @@ impl<N: Nonlinearity<Registers<2>>> Put for Back<'_, N> {
 
 /// Runs `$loops` with an `Out` as the [`Put`] that it is.
 macro_rules! for_each_out {
-    ($out:expr, $put:ident => $loops:expr) => {
+    ($out:expr, $put:ident => $loops:expr) => {{
+        use $crate::product::sums::{Added, Back, EluUnits, ReluUnits, Rounded, Through, Widened};
+        use $crate::unit::Unit;
         match $out {
             Out::Rounded(out) => {
-                let mut $put = $crate::product::sums::Rounded(out);
+                let mut $put = Rounded(out);
                 $loops
             }
             Out::Widened(out) => {
-                let mut $put = $crate::product::sums::Widened(out);
+                let mut $put = Widened(out);
                 $loops
             }
             Out::Added(out) => {
-                let mut $put = $crate::product::sums::Added(out);
+                let mut $put = Added(out);
                 $loops
             }
             Out::Activations(units) => match units.unit {
-                $crate::unit::Unit::Relu => {
-                    let mut $put = $crate::product::sums::Through::<'_, $crate::product::sums::ReluUnits>(units, std::marker::PhantomData);
+                Unit::Relu => {
+                    let mut $put = Through::<ReluUnits>::new(units);
                     $loops
                 }
-                $crate::unit::Unit::Elu => {
-                    let mut $put = $crate::product::sums::Through::<'_, $crate::product::sums::EluUnits>(units, std::marker::PhantomData);
+                Unit::Elu => {
+                    let mut $put = Through::<EluUnits>::new(units);
                     $loops
                 }
             },
             Out::Gradients(units) => match units.unit {
-                $crate::unit::Unit::Relu => {
-                    let mut $put = $crate::product::sums::Back::<'_, $crate::product::sums::ReluUnits>(units, std::marker::PhantomData);
+                Unit::Relu => {
+                    let mut $put = Back::<ReluUnits>::new(units);
                     $loops
                 }
-                $crate::unit::Unit::Elu => {
-                    let mut $put = $crate::product::sums::Back::<'_, $crate::product::sums::EluUnits>(units, std::marker::PhantomData);
+                Unit::Elu => {
+                    let mut $put = Back::<EluUnits>::new(units);
                     $loops
                 }
             },
         }
-    };
+    }};
 }
 pub(super) use for_each_out;

@@ -1,10 +1,9 @@
 use tch::{Device, Kind, Tensor};
 
 use super::{Activations, Biases, Gradients, Left, Native, Out, Packed, multiply};
-use crate::features::Features;
 use crate::memory::numbers;
 use crate::number::{Bf16, Number};
-use crate::unit::{Elu, Nonlinearity as _, Relu, Unit};
+use crate::unit::Unit;
 
 /// Numbers of order 1 that differ from place to place.
 fn matrix(seed: usize, len: usize) -> Vec<Bf16> {
@@ -17,7 +16,7 @@ fn transposed(matrix: &[Bf16], rows: usize, columns: usize) -> Vec<Bf16> {
 }
 
 /// Whole tiles and panels and parts of them, in pairs and odd.
-const SIZES: [[usize; 3]; 11] = [
+const SIZES: [[usize; 3]; 12] = [
     [8, 2, 32],
     [1, 1, 1],
     [5, 3, 33],
@@ -29,6 +28,7 @@ const SIZES: [[usize; 3]; 11] = [
     [64, 300, 70],
     [32, 256, 96],
     [96, 40, 64],
+    [40, 17, 70],
 ];
 
 #[test]
@@ -103,36 +103,36 @@ fn products_are_those_of_libtorch() {
 
 /// To the bit what units make of products that lie in memory, number by number, forward and back: whole tiles and panels and parts of them, with a
 /// bias for each of several actors and with one for all.
+#[cfg(unix)]
 #[test]
 fn products_through_units_are_those_of_products_in_memory() {
+    use super::guarded::Guarded;
+
     let mut right = Packed::default();
     for ([m, k, n], unit) in SIZES.into_iter().flat_map(|s| [(s, Unit::Relu), (s, Unit::Elu)]) {
         let (a, b) = (matrix(5, m * k), matrix(6, k * n));
         right.pack(&b, k, n);
         for (native, actors) in Native::all().into_iter().flat_map(|n| [(n, 1), (n, 3)]) {
             // Of the second of two networks, whose actors' biases alternate.
-            let biases = Biases { first: n, step: if actors == 1 { 0 } else { 2 * n }, actors };
+            let biases = Biases { first: n, step: 2 * n, actors };
             let bias: Vec<f32> =
                 matrix(7, 2 * actors * n).iter().map(|x| 3.0 * x.widen()).collect();
-            let mut product = vec![Bf16(0); m * n];
+            let (a, bias) = (Guarded::new(&a), Guarded::new(&bias));
+            let zeros = || Guarded::new(&vec![Bf16(0); m * n]);
+            let mut product = zeros();
             multiply(native, Left::Rows(&a), &right, Out::Rounded(&mut product));
 
-            let mut hidden = vec![Bf16(0); m * n];
+            let mut hidden = zeros();
             let out = Activations { unit, bias: &bias, biases, out: &mut hidden };
             multiply(native, Left::Rows(&a), &right, Out::Activations(out));
             let at = |i: usize| biases.of(i / n) + i % n;
             for i in 0..m * n {
                 let x = product[i].widen() + bias[at(i)];
-                let expected = Bf16::round(match (unit, Features::detect()) {
-                    (Unit::Relu, _) => Relu::new().of::<false>(x),
-                    (Unit::Elu, Features::Any) => Elu::new().of::<false>(x),
-                    (Unit::Elu, _) => Elu::new().of::<true>(x),
-                });
+                let expected = Bf16::round(unit.of(x));
                 assert_eq!(hidden[i], expected, "{native:?}, {unit:?}, {m}×{k}×{n}: {x}");
             }
 
-            let mut gradient = vec![Bf16(0); m * n];
-            let mut bias_gradient = bias.clone();
+            let (mut gradient, mut bias_gradient) = (zeros(), Guarded::new(&bias));
             let out = Gradients {
                 unit,
                 hidden: &hidden,
@@ -141,13 +141,10 @@ fn products_through_units_are_those_of_products_in_memory() {
                 out: &mut gradient,
             };
             multiply(native, Left::Rows(&a), &right, Out::Gradients(out));
-            let mut expected = bias.clone();
+            let mut expected = bias.to_vec();
             for i in 0..m * n {
                 let (y, d) = (hidden[i].widen(), product[i].widen());
-                let d = match unit {
-                    Unit::Relu => Relu::new().back_from_result(y, d),
-                    Unit::Elu => Elu::new().back_from_result(y, d),
-                };
+                let d = unit.back_from_result(y, d);
                 expected[at(i)] += d;
                 assert_eq!(gradient[i], Bf16::round(d), "{native:?}, {unit:?}, {m}×{k}×{n}");
             }
@@ -155,4 +152,17 @@ fn products_through_units_are_those_of_products_in_memory() {
             assert_eq!(differ, 0, "{native:?}, {unit:?}, {m}×{k}×{n}, {actors} actors");
         }
     }
+}
+
+/// A layer that has fewer biases than actors is refused before anything is multiplied.
+#[test]
+#[should_panic(expected = "fewer biases")]
+fn biases_that_are_missing_are_not_read() {
+    let (a, b) = (matrix(1, 40 * 20), matrix(2, 20 * 30));
+    let mut right = Packed::default();
+    right.pack(&b, 20, 30);
+    let (bias, mut hidden) = ([0.0; 59], vec![Bf16(0); 40 * 30]);
+    let biases = Biases { first: 0, step: 30, actors: 2 };
+    let out = Activations { unit: Unit::Elu, bias: &bias, biases, out: &mut hidden };
+    multiply(Native::Plain, Left::Rows(&a), &right, Out::Activations(out));
 }

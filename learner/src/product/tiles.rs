@@ -67,7 +67,7 @@ fn multiply_compiled<P: Put>(left: Left<'_>, right: &Packed, out: &mut P, rows: 
     let mut sums = [const { Sums([[0.0; PANEL]; BLOCK]) }; 2];
     // SAFETY: `multiply` stands for the features. Tiles are configured as long as they are used, and blocks and panels have `steps` steps.
     unsafe {
-        let found = configure();
+        let _configured = Configured::new();
         for row in (0..rows).step_by(BLOCK) {
             let count = BLOCK.min(rows - row);
             let block = match left {
@@ -104,7 +104,6 @@ fn multiply_compiled<P: Put>(left: Left<'_>, right: &Packed, out: &mut P, rows: 
                 waiting.put(BLOCK);
             }
         }
-        restore(&found);
     }
 }
 
@@ -209,39 +208,49 @@ struct Configuration {
     rows: [u8; 16],
 }
 
-/// Takes eight whole tiles, and gives back what was configured before: a library that is in between two products of its own may not look again.
-///
-/// # Safety
-/// The processor has tiles, and the process may use them. Nobody's numbers are in them.
-unsafe fn configure() -> Configuration {
-    let whole = Configuration {
-        palette: 1,
-        row_bytes: std::array::from_fn(|tile| if tile < 8 { ROW_BYTES as u16 } else { 0 }),
-        rows: std::array::from_fn(|tile| if tile < 8 { TILE as u8 } else { 0 }),
-        ..Configuration::default()
-    };
-    let mut found = Configuration::default();
-    // SAFETY: both are 64 bytes; the rest is the caller's promise.
-    unsafe {
-        asm!(
-            "sttilecfg [{found}]",
-            "ldtilecfg [{whole}]",
-            found = in(reg) &raw mut found,
-            whole = in(reg) &raw const whole,
-            options(nostack, preserves_flags),
-        );
-    }
-    found
+/// Tiles as they are configured for products, until it is dropped.
+struct Configured {
+    found: Configuration,
 }
 
-/// Configures tiles as they were found. What was in them is gone.
-///
-/// # Safety
-/// As for [`configure`], which gave `found`.
-unsafe fn restore(found: &Configuration) {
-    // SAFETY: the caller's promise.
-    unsafe {
-        asm!("ldtilecfg [{found}]", found = in(reg) found, options(nostack, preserves_flags, readonly));
+impl Configured {
+    /// Takes eight whole tiles. What was configured before comes back at the end: a library that is in between two products of its own may not look again.
+    ///
+    /// # Safety
+    /// The processor has tiles, and the process may use them. Nobody's numbers are in them.
+    unsafe fn new() -> Self {
+        let whole = Configuration {
+            palette: 1,
+            row_bytes: std::array::from_fn(|tile| if tile < 8 { ROW_BYTES as u16 } else { 0 }),
+            rows: std::array::from_fn(|tile| if tile < 8 { TILE as u8 } else { 0 }),
+            ..Configuration::default()
+        };
+        let mut found = Configuration::default();
+        // SAFETY: both are 64 bytes; the rest is the caller's promise.
+        unsafe {
+            asm!(
+                "sttilecfg [{found}]",
+                "ldtilecfg [{whole}]",
+                found = in(reg) &raw mut found,
+                whole = in(reg) &raw const whole,
+                options(nostack, preserves_flags),
+            );
+        }
+        Self { found }
+    }
+}
+
+impl Drop for Configured {
+    /// Configures tiles as they were found. What was in them is gone.
+    fn drop(&mut self) {
+        // SAFETY: who made it promised that there are tiles.
+        unsafe {
+            asm!(
+                "ldtilecfg [{found}]",
+                found = in(reg) &raw const self.found,
+                options(nostack, preserves_flags, readonly),
+            );
+        }
     }
 }
 
@@ -319,5 +328,32 @@ unsafe fn multiply_block<P: Put>(
             sums = in(reg) sums.0.as_mut_ptr(), width = in(reg) width,
             options(nostack, preserves_flags),
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A library of its own tiles finds them as they were, also after a panic.
+    #[test]
+    fn tiles_are_left_as_they_were_found() {
+        if !crate::product::Native::all()
+            .iter()
+            .any(|native| matches!(native, crate::product::Native::Tiles(_)))
+        {
+            return;
+        }
+        // SAFETY: there are tiles, and nobody's numbers are in them.
+        let palette = || unsafe { Configured::new() }.found.palette;
+        assert_eq!(palette(), 0);
+        let panic = std::panic::catch_unwind(|| {
+            // SAFETY: as above.
+            let _configured = unsafe { Configured::new() };
+            assert_eq!(palette(), 1);
+            panic!("in between");
+        });
+        assert!(panic.is_err());
+        assert_eq!(palette(), 0);
     }
 }

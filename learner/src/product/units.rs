@@ -17,6 +17,14 @@ pub(crate) struct Biases {
 }
 
 impl Biases {
+    /// # Panics
+    /// If they are not among so many numbers.
+    pub(super) fn check(self, numbers: usize, columns: usize) {
+        assert!(self.actors > 0, "rows of nobody");
+        let end = self.first + (self.actors - 1) * self.step + columns;
+        assert!(end <= numbers, "the layer has fewer biases");
+    }
+
     /// Where those of a row begin.
     #[cfg(test)]
     pub(super) fn of(self, row: usize) -> usize {
@@ -27,6 +35,10 @@ impl Biases {
 /// Activations `[R, H]` of a hidden layer: unit(product + bias), of the rounded product, rounded.
 #[derive(Debug)]
 pub(crate) struct Activations<'a> {
+    #[cfg_attr(
+        not(any(test, target_arch = "x86_64")),
+        expect(dead_code, reason = "no products of our own")
+    )]
     pub(crate) unit: Unit,
     pub(crate) bias: &'a [f32],
     pub(crate) biases: Biases,
@@ -36,6 +48,10 @@ pub(crate) struct Activations<'a> {
 /// The gradient `[R, H]` by a layer's products, from that by its activations: the rounded product.
 #[derive(Debug)]
 pub(crate) struct Gradients<'a> {
+    #[cfg_attr(
+        not(any(test, target_arch = "x86_64")),
+        expect(dead_code, reason = "no products of our own")
+    )]
     pub(crate) unit: Unit,
     /// Activations.
     pub(crate) hidden: &'a [Bf16],

@@ -1,6 +1,6 @@
 //! ReLU or ELU of hidden layers, LayerNorm if there is one, and the head, in one pass over each row, forward and backward, on a CPU.
 //!
-//! libtorch does the matrix products; what stands between them would be a dozen of its operations, each a pass over activations that
+//! What stands between two matrix products would be a dozen of libtorch's operations, each a pass over activations that
 //! do not fit into the first caches. Here a row's features are read once and written once, in f32 in between. `torch.rs` holds the
 //! same passes in libtorch's operations, for other activations and devices and as the twin that tests this one.
 //!
@@ -143,10 +143,10 @@ impl RowPasses {
         });
         match self.unit {
             Unit::Relu => {
-                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu::new() });
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu::new(()) });
             }
             Unit::Elu => {
-                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu::new() });
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu::new(()) });
             }
         }
     }
@@ -159,10 +159,10 @@ impl RowPasses {
         });
         match self.unit {
             Unit::Relu => {
-                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu::new() });
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu::new(()) });
             }
             Unit::Elu => {
-                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu::new() });
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu::new(()) });
             }
         }
     }
