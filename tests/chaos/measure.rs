@@ -54,6 +54,11 @@ impl Trend {
         self.0.push(sample);
     }
 
+    /// The first sample.
+    pub fn first(&self) -> Option<u64> {
+        self.0.first().copied()
+    }
+
     /// How much it has grown from the first third of the samples to the last: the smallest of the
     /// last third over the largest of the first. What comes and goes counts for nothing; what is
     /// lost at every turn counts in full. None of fewer than nine samples.
