@@ -20,8 +20,8 @@ pub(crate) trait Lanes: Copy {
     fn at_least(self, bound: Self) -> Self;
     /// `then` where the number is positive, `otherwise` elsewhere.
     fn if_positive(self, then: Self, otherwise: Self) -> Self;
-    /// self · 2ⁿ, if that is a normal number and −126 ≤ n ≤ 0. `n` is whole, and `sum` is its sum with [`ROUND`]: one number reads the second, registers read the
-    /// first.
+    /// self · 2ⁿ, if that is a normal number and −126 ≤ n ≤ 0. `n` is whole, and `sum` is its sum with [`ROUND`]: registers read the first,
+    /// one number the second.
     fn times_power_of_two(self, n: Self, sum: Self) -> Self;
 }
 

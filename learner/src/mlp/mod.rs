@@ -11,8 +11,8 @@
 //! dg = Σ_out W ⊙ dW′, ds = W db′. No affine map runs over samples.
 //!
 //! **Two implementations** of one trait (`passes.rs`). On a CPU with ReLU or ELU, what stands between two products is one pass over the samples in
-//! plain Rust, and the head is part of the last one (`plain.rs`, whose loops over samples are in `rows.rs`); products in bf16 are our own where one thread computes, if
-//! the processor has instructions for them (`products.rs`). Everything else goes the general
+//! plain Rust, and the head is part of the last one (`plain.rs`, whose loops over samples are in `rows.rs`); products in bf16 are our own where one
+//! thread computes, if the processor has instructions for them (`products.rs`); without a LayerNorm those do all of that pass but the head. Everything else goes the general
 //! way, operation by operation of libtorch (`torch.rs`), which is also the twin that tests the other.
 //!
 //! **Precision.** In bf16 the operands of hidden layers' products are bfloat16, as are the activations

@@ -243,8 +243,8 @@ impl Products {
 /// A network's part of an array `[N, R, H]`, to be written.
 #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
 fn part<'p>(array: &'p mut Tensor, network: usize, stack: &Stack) -> &'p mut [Bf16] {
-    // SAFETY: products and what comes of them are buffers of the stack, made of zeros. Layers may share one, of which nobody else has a slice now; it is not that of a
-    // product's factors.
+    // SAFETY: products and what comes of them are buffers of the stack, made of zeros. Layers may share one, of which nobody else has a slice
+    // now; it is not that of a product's factors.
     let array: &mut [Bf16] = unsafe { numbers_mut(array) };
     let each = array.len() / stack.spec.n_networks;
     &mut array[network * each..][..each]

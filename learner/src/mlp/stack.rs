@@ -30,7 +30,7 @@ pub(super) struct Stack {
 pub(super) struct Buffers {
     pub(super) rows: i64,
     /// After the activation, of each layer; before it where the passes are plain Rust. Those need it again only with LayerNorm: without one all layers share a
-    /// buffer.
+    /// buffer, which is left alone where products go through the units at once.
     active: Vec<Tensor>,
     /// After the standardisation, of each layer; with libtorch's operations empty without LayerNorm.
     standard: Vec<Tensor>,
