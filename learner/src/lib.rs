@@ -71,6 +71,7 @@ mod product;
 pub mod report;
 pub mod state;
 pub mod synthetic;
+mod threads;
 mod unit;
 mod update;
 pub mod value_norm;

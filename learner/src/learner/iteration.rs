@@ -1,6 +1,8 @@
 //! One iteration: train on its samples, publish the policy, report.
 
+use std::convert::Infallible;
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::{self, TryRecvError};
 use std::time::{Duration, Instant};
 
 use channels::ArraySample;
@@ -62,15 +64,22 @@ pub(super) fn iterate(learner: &mut Learner, waited: Duration) -> Result<(), Lea
     Ok(learner.ports.progress.send(&Progress::IterationDone(Box::new(report)))?)
 }
 
-/// Updates on a thread of its own, and keeps receiving meanwhile.
+/// Updates on the thread for it, and keeps receiving meanwhile.
 fn train(learner: &mut Learner, shards: &[&[f32]]) -> Result<UpdateReport, LearnerError> {
-    let Learner { trainer: Trainer { algorithm, state }, ports, .. } = learner;
+    let Learner { trainer: Trainer { algorithm, state, thread }, ports, .. } = learner;
     let work = algorithm.work();
-    std::thread::scope(|scope| {
-        let update = scope.spawn(move || algorithm.update(state, shards));
+    let mut updated = None;
+    // Nothing is sent: the sender goes when the update has ended, also by a panic.
+    let (ends, end) = mpsc::channel::<Infallible>();
+    let received = thread.in_place_scope(|scope| {
+        let updated = &mut updated;
+        scope.spawn(move |_| {
+            let _ends = ends;
+            *updated = Some(algorithm.update(state, shards));
+        });
         let mut received = Ok(());
         let mut worked = work.load(Ordering::Relaxed);
-        while !update.is_finished() {
+        while end.try_recv() == Err(TryRecvError::Empty) {
             if received.is_ok() {
                 received = ports.pump();
             }
@@ -85,9 +94,9 @@ fn train(learner: &mut Learner, shards: &[&[f32]]) -> Result<UpdateReport, Learn
             }
             ports.bell.wait(BUSY);
         }
-        let updated = update.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        received.and(updated)
-    })
+        received
+    });
+    received.and(updated.expect("it ended without a panic"))
 }
 
 /// What the update says, as the coordinator gets it.

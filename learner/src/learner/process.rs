@@ -3,6 +3,7 @@
 use proto::Digest;
 use proto::config::{Run, TaskName};
 use proto::layout::{Dimensions, SnapshotHeader};
+use rayon::ThreadPool;
 
 use super::ports::Ports;
 use crate::algorithm::Algorithm;
@@ -20,10 +21,11 @@ pub(super) struct Learner {
     pub(super) digest: Digest,
 }
 
-/// What the training thread borrows.
+/// What the training thread borrows, and that thread.
 pub(super) struct Trainer {
     pub(super) algorithm: Algorithm,
     pub(super) state: TrainingState,
+    pub(super) thread: ThreadPool,
 }
 
 impl Learner {

@@ -20,6 +20,7 @@ use crate::algorithm::Algorithm;
 use crate::precision::Arithmetic;
 use crate::state::TrainingState;
 use crate::state::image::Image;
+use crate::threads::kept_threads;
 
 /// Trains the policies of a SpaceOctopus run; started by `octopus`, not by hand.
 #[derive(Debug, Clone, clap::Parser)]
@@ -76,7 +77,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         task: config.task.name,
         run: config.run.clone(),
         digest: state.digest(),
-        trainer: Trainer { algorithm: Algorithm::new(&config, &dimensions, &state), state },
+        trainer: Trainer {
+            algorithm: Algorithm::new(&config, &dimensions, &state),
+            state,
+            thread: kept_threads("update", 1),
+        },
     };
     let result = serve(&mut learner);
     if let Err(error) = &result {

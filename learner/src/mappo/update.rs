@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use proto::config::Config;
 use proto::layout::{BlockLayout, Dimensions};
+use rayon::ThreadPool;
 use tch::{Device, Tensor};
 
 use super::MappoTrace;
@@ -18,6 +19,7 @@ use crate::mlp::Threads;
 use crate::optimizer_step::{NetworkPasses, NetworkRows, learning_rates};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
+use crate::threads::kept_threads;
 use crate::update::Update;
 
 /// Samples of each actor that go through the networks at once on a CPU. Activations of so many fit in the cache; of
@@ -32,8 +34,10 @@ pub struct Mappo {
     pub(super) layout: BlockLayout,
     options: Options,
     pub(super) groups: Vec<Group>,
-    /// How many groups are computed at once, and with how many of libtorch's threads each.
-    threads: [usize; 2],
+    /// Those that compute groups beside the caller's.
+    others: Option<ThreadPool>,
+    /// With how many of libtorch's threads a group is computed.
+    threads: usize,
     work: Arc<AtomicU64>,
 }
 
@@ -92,7 +96,8 @@ impl Mappo {
             layout: BlockLayout::new(dimensions),
             options: Options::new(config),
             groups,
-            threads: [at_once, threads / at_once],
+            others: (at_once > 1).then(|| kept_threads("update", at_once - 1)),
+            threads: threads / at_once,
             work: Arc::default(),
         }
     }
@@ -130,7 +135,8 @@ impl Update for Mappo {
             observation_norm: state.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std),
             state_norm: state.state_norm.as_ref().map(InputNorm::mean_and_inverse_std),
         };
-        let outcomes = run_groups(&mut self.groups, state, &inputs, self.threads, trace);
+        let threads = (self.others.as_ref(), self.threads);
+        let outcomes = run_groups(&mut self.groups, state, &inputs, threads, trace);
         let actor_lr = inputs.actor_lr.iter().sum::<f64>() / inputs.actor_lr.len() as f64;
         let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };
         let (mut steps, mut parts) = ((Vec::new(), Vec::new()), Vec::new());
@@ -155,13 +161,12 @@ impl Update for Mappo {
     }
 }
 
-/// Runs all groups, `at_once` of them at a time, the caller's thread being one that does; outcomes are
-/// in the groups' order.
+/// Runs all groups on the caller's thread and `others`, a group with so many `threads` of libtorch's; outcomes are in the groups' order.
 fn run_groups(
     groups: &mut [Group],
     state: &TrainingState,
     inputs: &IterationInputs<'_>,
-    [at_once, threads]: [usize; 2],
+    (others, threads): (Option<&ThreadPool>, usize),
     trace: Option<&mut MappoTrace>,
 ) -> Vec<Result<GroupUpdate, LearnerError>> {
     let mut outcomes: Vec<_> = groups.iter().map(|_| None).collect();
@@ -196,12 +201,15 @@ fn run_groups(
             *outcome = Some(result);
         }
     };
-    std::thread::scope(|scope| {
-        for _ in 1..at_once {
-            scope.spawn(|| work(None));
-        }
-        work(trace);
-    });
+    match others {
+        None => work(trace),
+        Some(others) => others.in_place_scope(|scope| {
+            for _ in 0..others.current_num_threads() {
+                scope.spawn(|_| work(None));
+            }
+            work(trace);
+        }),
+    }
     outcomes.into_iter().map(|outcome| outcome.expect("every group was computed")).collect()
 }
 
