@@ -12,6 +12,7 @@
 use proto::config::{InputNorm as InputNormKind, Network};
 use tch::Tensor;
 
+use crate::features::{Features, Loop, run_for};
 use crate::layer_norm::standardise_input;
 use crate::limits::clamp;
 use crate::number::Number;
@@ -120,6 +121,7 @@ impl InputNorm {
             return;
         }
         let total = self.count + n as f64;
+        let features = Features::detect();
         let mut sum = vec![0.0; self.features];
         let mut square = vec![0.0; self.features];
         for (row, blocks) in batch.iter().enumerate() {
@@ -128,12 +130,9 @@ impl InputNorm {
             let pivot = &blocks[0][..self.features];
             sum.fill(0.0);
             square.fill(0.0);
-            for sample in blocks.iter().flat_map(|block| block.chunks_exact(self.features)) {
-                for (((x, p), s), q) in sample.iter().zip(pivot).zip(&mut sum).zip(&mut square) {
-                    let deviation = f64::from(*x) - f64::from(*p);
-                    *s += deviation;
-                    *q += deviation * deviation;
-                }
+            for block in blocks {
+                let sums = [&mut sum[..], &mut square[..]];
+                run_for(features, Deviations { block, pivot, sums });
             }
             let range = row * self.features..(row + 1) * self.features;
             let running = self.mean[range.clone()].iter_mut().zip(&mut self.m2[range]);
@@ -177,6 +176,28 @@ impl InputNorm {
         let inverse =
             self.m2.iter().map(|&x| (1.0 / (x / self.count + EPSILON).sqrt()) as f32).collect();
         (mean, inverse)
+    }
+}
+
+/// Adds the deviations of the samples of `block` from `pivot`, and their squares, to `sums`, each feature in the order of the samples.
+struct Deviations<'a> {
+    block: &'a [f32],
+    pivot: &'a [f32],
+    sums: [&'a mut [f64]; 2],
+}
+
+impl Loop for Deviations<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { block, pivot, sums: [sum, square] } = self;
+        for sample in block.chunks_exact(pivot.len()) {
+            for (((x, p), s), q) in sample.iter().zip(pivot).zip(&mut *sum).zip(&mut *square) {
+                let deviation = f64::from(*x) - f64::from(*p);
+                *s += deviation;
+                // Not fused: the bits of a state are those of every processor.
+                *q += deviation * deviation;
+            }
+        }
     }
 }
 
