@@ -71,6 +71,21 @@ pub enum LearnerError {
         /// The mini-batch, from 0.
         mini_batch: usize,
     },
+    /// Parameters are not finite after an update.
+    #[error(
+        "the {network} of agent {agent} holds {what} after iteration {iteration}; lower the learning rate \
+         or algorithm.max_grad_norm. The checkpoints of before are as they were"
+    )]
+    Unbounded {
+        /// `actor` or `critic`.
+        network: &'static str,
+        /// The agent, or the first of those whose it is.
+        agent: usize,
+        /// What has no bounds.
+        what: &'static str,
+        /// The iteration.
+        iteration: u64,
+    },
     /// A training state cannot be restored.
     #[error("training state: {0}")]
     State(String),

@@ -100,3 +100,25 @@ fn a_simulation_that_diverges_is_caught_with_its_environment() {
     let again: Value = serde_json::from_slice(&again.stdout).expect("JSON");
     assert_eq!(&again["environment"], environment, "the same moment, alone");
 }
+
+/// Gradients may be finite and lead to what is not. Workers that refused such a policy once waited for another one without end.
+#[test]
+fn a_training_whose_deviations_explode_ends_and_nobody_gets_to_see_them() {
+    let settings = [
+        "algorithm.max_kl=0",
+        "algorithm.entropy_coefficient=100",
+        "algorithm.epochs=10",
+        "optimizer.actor_lr=10",
+        "optimizer.schedule=constant",
+        "run.checkpoint_every=1",
+    ];
+    let mut words = vec!["--workers=1".to_owned(), "--iterations=20".to_owned()];
+    words.extend(settings.map(|setting| format!("--set={setting}")));
+    let mut run = Run::train(&words.iter().map(String::as_str).collect::<Vec<_>>());
+    let domain = run.domain_when_there();
+    assert_eq!(run.wait(), Some(6), "{}", run.log());
+    assert_nothing_left(&domain);
+    let log = run.log();
+    assert!(log.contains("holds deviations beyond all numbers after iteration"), "{log}");
+    assert!(log.contains("lower the learning rate"), "{log}");
+}

@@ -212,7 +212,7 @@ impl Update for Maddpg {
         }
         let steps = [networks.actor.adam.steps, networks.critic.adam.steps];
         [state.actor.adam.steps, state.critic.adam.steps] = steps;
-        state.end_update(&self.dimensions, shards, env_steps);
+        state.end_update(&self.dimensions, shards, env_steps)?;
         let exploration = self.settings.exploration(state.env_steps);
         for share in &mut explained {
             *share /= updates.max(1) as f64;

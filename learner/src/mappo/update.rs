@@ -156,7 +156,7 @@ impl Update for Mappo {
                 *rate = steered(*rate, kl, self.options.target_kl);
             }
         }
-        state.end_update(&self.dimensions, shards, self.config.steps_per_iteration());
+        state.end_update(&self.dimensions, shards, self.config.steps_per_iteration())?;
         Ok(report)
     }
 }

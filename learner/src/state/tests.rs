@@ -136,3 +136,29 @@ fn an_image_is_the_file_that_the_library_writes() {
         }
     }
 }
+
+#[test]
+fn what_is_not_finite_after_an_update_is_named() {
+    let config = config(&[]);
+    let said = |change: &dyn Fn(&mut TrainingState)| {
+        let (mut state, _) = state(&config);
+        change(&mut state);
+        state.check_bounds().map_err(|error| error.to_string())
+    };
+    assert_eq!(said(&|_| {}), Ok(()));
+    let put = |network: &NetworkState, name: &str, agent: i64, x: f64| {
+        let _ = network.spec.view(name, &network.flat).select(0, agent).fill_(x);
+    };
+    for (network, agent, x) in [("actor", 1, f64::NAN), ("critic", 0, f64::INFINITY)] {
+        let message = said(&|state| {
+            let of = if network == "actor" { &state.actor } else { &state.critic };
+            put(of, "head.bias", agent, x);
+        })
+        .expect_err("not finite");
+        let expected = format!("the {network} of agent {agent} holds parameters that are not");
+        assert!(message.starts_with(&expected), "{message}");
+    }
+    // Finite, but e⁹⁰ is beyond single precision.
+    let message = said(&|state| put(&state.actor, "log_std", 1, 90.0)).expect_err("too large");
+    assert!(message.starts_with("the actor of agent 1 holds deviations"), "{message}");
+}

@@ -2,9 +2,10 @@
 
 use proto::config::{AlgorithmName, Config, CriticState, InputNorm as InputNormKind};
 use proto::layout::{ActorLayout, BlockLayout, Dimensions};
-use tch::Device;
+use tch::{Device, Kind};
 
 use super::{NetworkState, OffPolicy};
+use crate::LearnerError;
 use crate::adam::Adam;
 use crate::input_norm::InputNorm;
 use crate::memory::bytes;
@@ -121,17 +122,44 @@ impl TrainingState {
 
     /// Ends it: later normalisers see the samples now, after these were learned from as the policy that
     /// acted saw them.
+    ///
+    /// # Errors
+    /// If what was learned is of no use: nobody must get to see it.
     pub(crate) fn end_update(
         &mut self,
         dimensions: &Dimensions,
         shards: &[&[f32]],
         env_steps: u64,
-    ) {
+    ) -> Result<(), LearnerError> {
+        self.check_bounds()?;
         if self.iteration > 0 {
             self.see(dimensions, shards);
         }
         self.iteration += 1;
         self.env_steps += env_steps;
+        Ok(())
+    }
+
+    /// Refuses parameters that are not finite, and deviations beyond all numbers: gradients that are finite can lead there.
+    pub(super) fn check_bounds(&self) -> Result<(), LearnerError> {
+        for network in [&self.actor, &self.critic] {
+            let is_stochastic = network.spec.parameters.iter().any(|p| p.name == "log_std");
+            // Once around all numbers, those of a shared network once. A sum in f64 is finite if they are.
+            let whole = network.spec.learned_parts(&network.flat);
+            let deviations = is_stochastic
+                .then(|| network.spec.learned("log_std", &network.flat).exp())
+                .map(|deviations| (deviations, "deviations beyond all numbers"));
+            let parts = whole.into_iter().map(|part| (part, "parameters that are not finite"));
+            for (part, what) in parts.chain(deviations) {
+                let sums = part.sum_dim_intlist(&[1i64][..], false, Kind::Double);
+                let sums = Vec::<f64>::try_from(sums).expect("a number a row");
+                if let Some(agent) = sums.iter().position(|sum| !sum.is_finite()) {
+                    let (network, iteration) = (network.spec.kind.as_str(), self.iteration);
+                    return Err(LearnerError::Unbounded { network, agent, what, iteration });
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Keeps the policy as it is now as the previous one.

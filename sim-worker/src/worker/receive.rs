@@ -1,8 +1,8 @@
 //! What comes in: orders and policies.
 
 use channels::ChannelError;
-use proto::ExitError;
 use proto::message::Order;
+use proto::{ExitCode, ExitError};
 
 use super::assignment::{Assignment, Block};
 use super::process::{Worker, failure};
@@ -65,7 +65,13 @@ pub(super) fn take_policies(worker: &mut Worker<'_>) -> Result<(), ExitError> {
                     worker.policies.pop_front();
                 }
             }
-            Err(error) => worker.fail(&format!("policy version {version}: {error}"), None)?,
+            Err(error) => {
+                // Who waits for a policy that it cannot use waits for ever. A successor gets it anew; who dies
+                // again and again ends the run.
+                let what = format!("policy version {version}: {error}");
+                worker.fail(&what, None)?;
+                return Err(ExitError::new(ExitCode::Failure, what));
+            }
         }
     }
     Ok(())

@@ -128,19 +128,19 @@ fn a_worker_makes_what_is_ordered_and_nothing_else() {
                     env_steps: 4, .. } if done == shard
             ));
         }
-        // A shard that does not exist, and a policy that is none: said, and survived.
+        // A shard that does not exist: said, and survived.
         orders.send(&order(2, 1, &[9])).expect("send");
         let Status::Failed { message, .. } = next_status(&status) else { panic!("not refused") };
         assert!(message.contains("shard 9"), "{message}");
+        // A policy that is none is the end: orders for it would wait for ever.
         let mut sample = policies.loan().expect("loan");
         sample.payload_mut().fill(f32::NAN);
         *sample.header_mut() = PolicyHeader { version: 4 };
         policies.send(sample).expect("send");
         let Status::Failed { message, .. } = next_status(&status) else { panic!("not refused") };
         assert!(message.contains("policy version 4"), "{message}");
-
-        orders.send(&Order::Stop).expect("send");
-        worker.join().expect("no panic").expect("a clean end");
+        let error = worker.join().expect("no panic").expect_err("an end");
+        assert!(error.message.contains("policy version 4"), "{error}");
     });
     assert!(blocks.try_receive().expect("receive").is_none(), "nothing was made twice");
 }

@@ -37,6 +37,17 @@ pub enum PolicyError {
         /// The value found.
         value: f32,
     },
+    /// A standard deviation beyond all numbers.
+    #[error(
+        "the deviations of agent {agent} have the logarithm {log_std}, which is too large; the training has \
+         diverged"
+    )]
+    Deviation {
+        /// The agent.
+        agent: usize,
+        /// The largest of its logarithms.
+        log_std: f32,
+    },
 }
 
 /// LayerNorm's gain and shift, or a running normalisation's mean and inverse deviation.
@@ -224,6 +235,11 @@ impl Policy {
                 std::array::from_fn(|action| of_agent.get(action).copied().unwrap_or_default())
             })
             .collect();
+        let std: Vec<_> = log_std.iter().map(|log_std| log_std.map(elementary::exp)).collect();
+        if let Some(agent) = std.iter().position(|std| !std.iter().all(|std| std.is_finite())) {
+            let log_std = log_std[agent].into_iter().fold(f32::NEG_INFINITY, f32::max);
+            return Err(PolicyError::Deviation { agent, log_std });
+        }
         Ok(Self {
             input: dimensions.actor_input(),
             output: dimensions.actor_output(),
@@ -240,7 +256,7 @@ impl Policy {
             sharing,
             network_of,
             first_bias,
-            std: log_std.iter().map(|log_std| log_std.map(elementary::exp)).collect(),
+            std,
             log_std,
         })
     }

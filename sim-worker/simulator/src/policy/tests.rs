@@ -277,6 +277,11 @@ fn wrong_parameters_are_named() {
     flat[bias.offset + 6 * 3 + 1] = f32::INFINITY;
     let message = Policy::new(&config, &dimensions, &flat).expect_err("infinite").to_string();
     assert!(message.contains("`head.bias` of actor 6 holds inf"), "{message}");
+    // Finite, but e⁹⁰ is no number.
+    flat[bias.offset + 6 * 3 + 1] = 0.0;
+    flat[layout.get("log_std").expect("exists").offset + 5 * 3] = 90.0;
+    let error = Policy::new(&config, &dimensions, &flat).expect_err("too large");
+    assert_eq!(error, PolicyError::Deviation { agent: 5, log_std: 90.0 });
 }
 
 /// Parameters of eight actors, of which every second has the same network.
