@@ -68,7 +68,8 @@ pub(crate) fn interleaved<T: Copy, G: AsRef<[T]>>(groups: &[G]) -> Vec<T> {
 
 /// Sums of statistics over optimiser steps.
 pub(crate) struct Sums {
-    actor_steps: f64,
+    /// Of each actor.
+    actor_steps: Vec<f64>,
     critic_steps: f64,
     policy: Vec<f64>,
     kl: Vec<f64>,
@@ -87,7 +88,7 @@ impl Sums {
     pub(crate) fn new(actors: usize) -> Self {
         let zeros = || vec![0.0; actors];
         Self {
-            actor_steps: 0.0,
+            actor_steps: zeros(),
             critic_steps: 0.0,
             policy: zeros(),
             kl: zeros(),
@@ -100,20 +101,24 @@ impl Sums {
         }
     }
 
-    /// Adds a step of the actors.
+    /// Adds a step of those actors that `count`: others are held back, and only looked at.
     pub(crate) fn actor(
         &mut self,
+        count: &[bool],
         policy: impl Iterator<Item = f64>,
         kl: impl Iterator<Item = f64>,
         clipped: impl Iterator<Item = f64>,
         norms: &[f64],
     ) {
-        self.actor_steps += 1.0;
+        let counted = |values: Vec<f64>| {
+            values.into_iter().zip(count).map(|(value, &count)| if count { value } else { 0.0 })
+        };
         self.last_policy = policy.collect();
-        add(&mut self.policy, self.last_policy.iter().copied());
-        add(&mut self.kl, kl);
-        add(&mut self.clipped, clipped);
-        add(&mut self.actor_norm, norms.iter().copied());
+        add(&mut self.actor_steps, counted(vec![1.0; count.len()]));
+        add(&mut self.policy, counted(self.last_policy.clone()));
+        add(&mut self.kl, counted(kl.collect()));
+        add(&mut self.clipped, counted(clipped.collect()));
+        add(&mut self.actor_norm, counted(norms.to_vec()));
     }
 
     /// Adds a step of the critics.
@@ -126,16 +131,18 @@ impl Sums {
 
     /// The means; zeros if there were no steps.
     pub(crate) fn means(self) -> UpdateReport {
-        let mean =
-            |sums: Vec<f64>, steps: f64| sums.iter().map(|sum| sum / steps.max(1.0)).collect();
-        let (actor, critic) = (self.actor_steps, self.critic_steps);
+        let mean = |sums: Vec<f64>, steps: &[f64]| {
+            sums.iter().zip(steps).map(|(sum, steps)| sum / steps.max(1.0)).collect()
+        };
+        let actor = self.actor_steps;
+        let critic = vec![self.critic_steps; actor.len()];
         UpdateReport {
-            policy_loss: mean(self.policy, actor),
-            kl: mean(self.kl, actor),
-            clip_fraction: mean(self.clipped, actor),
-            actor_grad_norm: mean(self.actor_norm, actor),
-            value_loss: mean(self.value, critic),
-            critic_grad_norm: mean(self.critic_norm, critic),
+            policy_loss: mean(self.policy, &actor),
+            kl: mean(self.kl, &actor),
+            clip_fraction: mean(self.clipped, &actor),
+            actor_grad_norm: mean(self.actor_norm, &actor),
+            value_loss: mean(self.value, &critic),
+            critic_grad_norm: mean(self.critic_norm, &critic),
             ..UpdateReport::default()
         }
     }
@@ -144,4 +151,23 @@ impl Sums {
 /// Adds number by number.
 pub(crate) fn add(sums: &mut [f64], values: impl Iterator<Item = f64>) {
     sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_of_who_is_held_back_are_not_among_those_that_are_averaged() {
+        let mut sums = Sums::new(2);
+        for (count, x) in [([true, true], 1.0), ([true, false], 3.0)] {
+            let both = || std::iter::repeat_n(x, 2);
+            sums.actor(&count, both(), both(), both(), &[x, x]);
+        }
+        sums.critic(std::iter::repeat_n(5.0, 2), &[7.0, 7.0]);
+        let report = sums.means();
+        assert_eq!([&report.policy_loss, &report.kl, &report.clip_fraction], [&[2.0, 1.0]; 3]);
+        assert_eq!(report.actor_grad_norm, [2.0, 1.0]);
+        assert_eq!((report.value_loss, report.critic_grad_norm), (vec![5.0; 2], vec![7.0; 2]));
+    }
 }

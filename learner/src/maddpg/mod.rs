@@ -351,7 +351,7 @@ impl Maddpg {
             self.descent.step(actor, &mut self.actor, &vec![shared.actor_lr; agents], &active);
         check(&norms, "actor", Actors::all(agents), shared.iteration, (0, update))?;
         let zeros = || std::iter::repeat_n(0.0, agents);
-        sums.actor(mean(-value).into_iter(), zeros(), zeros(), &norms);
+        sums.actor(&active, mean(-value).into_iter(), zeros(), zeros(), &norms);
 
         let _ = target_actor.lerp_(&actor.flat, self.settings.soft_update);
         let _ = target_critic.lerp_(&critic.flat, self.settings.soft_update);

@@ -122,6 +122,8 @@ impl Group {
             |index: usize| statistics.iter().skip(index).step_by(STATISTICS).map(|&x| f64::from(x));
         let mut kl: Vec<f64> = column(1).collect();
         average_over_networks(&mut kl, network.spec.n_networks);
+        // The step in which an actor is found to have gone too far is the last that counts.
+        let count = active.to_vec();
         if inputs.options.max_kl > 0.0 {
             for (active, &kl) in active.iter_mut().zip(&kl) {
                 *active &= kl <= inputs.options.max_kl;
@@ -131,7 +133,7 @@ impl Group {
         let norms = inputs.options.descent.step(network, &mut self.actor, &rates, active);
         check(&norms, "actor", self.actors, inputs.iteration, batch.step)?;
         inputs.options.actor_loss.project(&network.spec.learned("log_std", &network.flat));
-        sums.actor(column(0), column(1), column(2), &norms);
+        sums.actor(&count, column(0), column(1), column(2), &norms);
         Ok(kl)
     }
 
