@@ -24,7 +24,7 @@ if [ -n "${CI:-}" ]; then
 else
     # Named even though it is this machine's: the flags then stay out of build scripts and macros.
     host=$(rustc -vV | sed -n 's/^host: //p')
-    RUSTFLAGS="--cfg fuzzing $("$here/rustc-coverage" --flags)" "${build[@]}" -p fuzz --profile fuzz --bins \
+    RUSTFLAGS="$("$here/rustc-coverage" --flags)" "${build[@]}" -p fuzz --profile fuzz --bins \
         --target "$host" --target-dir "$base/fuzz/build"
     programs=$base/fuzz/build/$host/fuzz
 fi

@@ -5,7 +5,7 @@
 //! The types are named inside such a call alone, so where there is a value of one, or a function for one, this process has found the features: they stay
 //! true when either leaves the call.
 #![cfg_attr(
-    target_arch = "x86_64",
+    all(target_arch = "x86_64", not(fuzzing)),
     expect(
         unsafe_code,
         reason = "calls of functions compiled for detected processor features have no safe form"
@@ -14,9 +14,9 @@
 
 #[cfg(all(not(target_arch = "wasm32"), any(test, not(target_arch = "x86_64"))))]
 use super::portable::F32x16Portable;
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(fuzzing)))]
 use super::{avx2, avx512};
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(fuzzing)))]
 use crate::scalar::LANES;
 use crate::scalar::LaneFn;
 
@@ -40,6 +40,8 @@ impl Backend {
     /// Whether this processor can run the back end.
     pub fn is_available(self) -> bool {
         match self {
+            // Fuzzed, most of what is compiled would be vectors, which read no bytes from outside.
+            Self::Avx512 | Self::Avx2 if cfg!(fuzzing) => false,
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
                 // The compiler takes AVX2 for granted with AVX-512; a virtual machine may leave it out.
@@ -106,10 +108,10 @@ pub fn dispatch_on<F: LaneFn>(backend: Backend, f: F) -> F::Output {
     assert!(backend.is_available(), "this processor cannot run {backend:?}");
     match backend {
         // SAFETY: the processor features were asserted above.
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", not(fuzzing)))]
         Backend::Avx512 => unsafe { avx512::sixteen::call(f) },
         // SAFETY: the processor features were asserted above.
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", not(fuzzing)))]
         Backend::Avx2 => unsafe { avx2::call(f) },
         #[cfg(all(not(target_arch = "wasm32"), any(test, not(target_arch = "x86_64"))))]
         _ => f.call::<F32x16Portable>(),
@@ -124,12 +126,12 @@ pub fn dispatch_on<F: LaneFn>(backend: Backend, f: F) -> F::Output {
 /// # Panics
 /// As [`dispatch_on`].
 pub fn dispatch_for<F: LaneFn>(n: usize, backend: Backend, f: F) -> F::Output {
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", not(fuzzing)))]
     if n <= LANES / 2 && backend == Backend::Avx512 && backend.is_available() {
         // SAFETY: the processor features were just found.
         return unsafe { avx512::eight::call(f) };
     }
-    #[cfg(not(target_arch = "x86_64"))]
+    #[cfg(any(not(target_arch = "x86_64"), fuzzing))]
     let _ = n; // no back end there has eight lanes
     dispatch_on(backend, f)
 }

@@ -1,8 +1,10 @@
 //! Several `f32` side by side, in back ends of the same bits ([`Backend`]), and the choice among them ([`dispatch`]).
 
 #[cfg(target_arch = "x86_64")]
+#[cfg_attr(fuzzing, allow(dead_code, reason = "nobody dispatches to it"))]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
+#[cfg_attr(fuzzing, allow(dead_code, reason = "nobody dispatches to it"))]
 mod avx512;
 mod dispatch;
 mod lone;
