@@ -38,6 +38,11 @@ impl<S: Real> Physics<S> {
         Self { model, workspace, options, hands: vec![Hand::default(); robot.n_arms] }
     }
 
+    /// For how long a command is held (s).
+    pub(crate) fn control_period(&self) -> f64 {
+        self.options.control_period
+    }
+
     /// Gives all bodies these masses from now on.
     #[inline(always)]
     pub(crate) fn weigh(&mut self, masses: &Masses<S>) {

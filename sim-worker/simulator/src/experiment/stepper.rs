@@ -204,7 +204,8 @@ impl<S: Real> Stepper<S> {
                 let env = first + local as u32;
                 return Err(error.keep(env, before, &group.goals, &group.command));
             }
-            group.goals.advance(players[0].world.task.control_period);
+            // By what was integrated: who sits in the first place may have learned with another period.
+            group.goals.advance(physics.control_period());
         }
         Ok(())
     }

@@ -332,3 +332,27 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
         assert_eq!(format!("{:?} {:?}", episode, row(&episode)), before, "{event:?}");
     }
 }
+
+/// What a page may do: another policy takes the first place, which had learned with commands half as long.
+#[test]
+fn goals_move_by_the_clock_of_the_physics_whoever_sits_in_the_first_place() {
+    let of_period = |period| {
+        let mut config = world(TaskName::Capture, &paper()).config;
+        config.env.control_period = period;
+        let world = World::new(&config, &paper());
+        let policy = policy(&world);
+        Arc::new(Member { world, policy })
+    };
+    let goals = |episode: &Episode| episode.goals().hands[0].map(f32::to_bits);
+    let mut alone = Episode::new(vec![of_period(0.4)], start()).expect("an episode");
+    let mut changed = Episode::new(vec![of_period(0.4)], start()).expect("an episode");
+    let begun = goals(&alone);
+    assert_eq!(changed.seat(Some(0), of_period(0.2)), Ok(0));
+    for step in 0..5 {
+        for episode in [&mut alone, &mut changed] {
+            episode.step().expect("a step");
+        }
+        assert_eq!(goals(&changed), goals(&alone), "step {step}");
+    }
+    assert_ne!(goals(&alone), begun, "the body does not move");
+}
