@@ -125,6 +125,7 @@ impl Layers {
         let origin_of = |key: &str| origins.get(key).copied().unwrap_or(&origin).to_owned();
         let config = typed(base, origin_of)?;
         config.validate()?;
+        config.refuse_what_has_no_effect()?;
         Ok(config)
     }
 

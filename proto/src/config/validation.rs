@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::algorithm::AlgorithmName;
+use super::algorithm::{Algorithm, AlgorithmName};
 use super::maddpg::Maddpg;
 use super::network::{CriticState, ParameterSharing};
 use super::resolved::Config;
@@ -290,6 +290,24 @@ impl Config {
 }
 
 impl Config {
+    /// Refuses what would be ignored without a word. Runs that began with it may go on.
+    pub(super) fn refuse_what_has_no_effect(&self) -> Result<(), ConfigError> {
+        let Algorithm { name, epochs, mini_batches, .. } = &self.algorithm;
+        // How far an actor went is known before each of its steps, and before the first one it has gone nowhere.
+        let has_one_step = *name != AlgorithmName::Maddpg && epochs * mini_batches == 1;
+        if has_one_step && self.optimizer.target_kl > 0.0 {
+            return Err(ConfigError::Invalid {
+                key: "optimizer.target_kl",
+                problem:
+                    "is found before each step of the optimiser, and an iteration has one step"
+                        .to_owned(),
+                cure: "set it to 0, or algorithm.epochs or algorithm.mini_batches to 2 or more"
+                    .to_owned(),
+            });
+        }
+        Ok(())
+    }
+
     fn validate_maddpg(&self) -> Result<(), ConfigError> {
         let Maddpg {
             action_limit,
