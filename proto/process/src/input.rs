@@ -12,8 +12,8 @@ use rustix::fs::OFlags;
 
 /// Longest text that is read: a configuration, a robot (bytes).
 pub const TEXT: u64 = 1 << 20;
-/// Longest training state that is read (bytes): many times what the largest networks take.
-pub const STATE: u64 = 64 << 30;
+/// Longest training state that is read (bytes): more than the largest networks with the longest replay take.
+pub const STATE: u64 = 2 << 40;
 
 /// The content of the regular file at `path`, of `limit` bytes at most.
 pub fn read(path: &Path, limit: u64) -> Result<Vec<u8>> {

@@ -1,6 +1,6 @@
 //! The arrays that a page reads: everything that is drawn or plotted, in one piece of memory that never moves.
 //!
-//! A, J, B are arms, joints and bodies, J = 6 A, B = 1 + J; body 0 is the base, 1 + l is link l, arm-major. World axes, m, rad, s, N. Poses are 4×4
+//! A, J, B are arms, joints and bodies, B = 1 + J; body 0 is the base, 1 + l is link l, arm-major. World axes, m, rad, s, N. Poses are 4×4
 //! matrices, column-major, as WebGL has them.
 //!
 //! | name | shape | |

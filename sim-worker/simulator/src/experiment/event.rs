@@ -121,7 +121,7 @@ pub enum Event {
         /// The mass (kg).
         mass: f64,
     },
-    /// Another delay of the commands. What waits still arrives; where the delay grows, the last of it holds until something new arrives.
+    /// Another delay of the commands. Where it grows, the last one holds until something new arrives; where it shrinks, the oldest that wait are left out.
     Delay {
         /// Control steps between an action and its execution, up to [`LONGEST_DELAY`].
         steps: usize,

@@ -30,7 +30,8 @@ pub(super) struct Group<S: Real> {
 }
 
 impl<S: Real> Group<S> {
-    /// Has commands wait for so many control steps. What waits still arrives; where the delay grows, the last of it holds until something new arrives.
+    /// Has commands wait for so many control steps. Where that is more than before, the last one holds until something new arrives; where it is less, the oldest
+    /// that wait are left out.
     pub(super) fn delay(&mut self, steps: usize) {
         let surplus = self.waiting.len().saturating_sub(steps);
         self.waiting.drain(..surplus);

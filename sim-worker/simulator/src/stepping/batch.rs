@@ -146,7 +146,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Holds `actions`, `[N, A, 3]`, for a control period, and shows in `rows` what it led to.
+    /// Holds `actions`, `[N, A, U]`, for a control period, and shows in `rows` what it led to.
     ///
     /// Actions are clipped at the joints' limits and scaled by `task.action_scale`, as in training.
     ///

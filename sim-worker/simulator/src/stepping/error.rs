@@ -25,7 +25,7 @@ pub enum StepError {
         env: usize,
         /// The agent.
         agent: usize,
-        /// Which of its three actions.
+        /// Which of its actions.
         action: usize,
         /// The value.
         value: f32,
