@@ -605,6 +605,53 @@ fn neither_a_copied_nor_a_damaged_checkpoint_is_in_the_way_of_the_others() {
     assert!(said.contains("iteration-00000012"), "{said}");
 }
 
+/// They kept all other labels back, the message said that no checkpoint is sent, and a resume passed the checkpoint over.
+#[test]
+fn unreadable_labels_in_a_bucket_are_in_the_way_of_nothing_else() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let address = format!("file://{}/a", place.path().display());
+    let mut run = Run::new();
+    let set = format!("--set=run.checkpoints={address}");
+    run.start_training(&["--workers=1", "--iterations=15", "--pause-at=10", &set]);
+    run.succeed();
+    let sent = |iteration: u64| {
+        place.path().join(format!("a/checkpoints/iteration-{iteration:08}/labels.json"))
+    };
+    std::fs::write(sent(5), "rotten").expect("written");
+    let here = run.path().display().to_string();
+    for (iteration, tag) in [(5, "early"), (10, "late")] {
+        let tag = ["checkpoints", "tag", &format!("{here}:{iteration}"), tag];
+        expect(&octopus(&tag), 0, &tag);
+    }
+    run.resume(&[]);
+    run.succeed();
+    let log = run.log();
+    assert_eq!(log.matches("not all labels are sent to the bucket").count(), 1, "{log}");
+    assert!(log.contains("labels.json: not labels") && log.contains("checkpoints unpin"), "{log}");
+    assert!(!log.contains("checkpoints are not sent") && !log.contains("are not in"), "{log}");
+    assert_eq!(status(&run)["waiting"], serde_json::json!([]));
+    assert_eq!(std::fs::read_to_string(sent(5)).expect("there"), "rotten", "it is not written over");
+    assert!(std::fs::read_to_string(sent(10)).expect("there").contains("late"));
+
+    let list = octopus(&["checkpoints", "list", &address]);
+    let said = expect(&list, 0, &["list"]);
+    assert!(said.contains("labels.json: not labels"), "{said}");
+    let list = String::from_utf8_lossy(&list.stdout).into_owned();
+    assert!(list.contains("iteration-00000015") && list.contains("pinned"), "{list}");
+    // A run goes on from it.
+    std::fs::write(sent(15), "[]").expect("written");
+    let dir = place.path().join("again").display().to_string();
+    let output = octopus(&["resume", &address, "--run-dir", &dir, "--no-eval"]);
+    assert!(expect(&output, 0, &["resume"]).contains("iteration-00000015 of file:///"));
+
+    at(1, 0, &["checkpoints", "unpin", &format!("{address}:5")]);
+    at(1, 0, &["checkpoints", "verify", &address]);
+    run.resume(&[]);
+    run.succeed();
+    assert!(std::fs::read_to_string(sent(5)).expect("there").contains("early"), "{}", run.log());
+    assert_eq!(status(&run)["trouble"], Value::Null);
+}
+
 /// Copies a checkpoint, and changes a key of its manifest.
 fn copy(from: &Path, to: &Path, key: &str, value: &Value) {
     std::fs::create_dir(to).expect("made");

@@ -10,42 +10,84 @@ use crate::record::{LABELS, folder};
 /// How often labels are tried that others change at the same moment.
 const TRIES: usize = 16;
 
-impl Bucket {
-    /// The labels of a checkpoint; none there are none.
-    pub(crate) async fn labels(&self, name: &Name) -> Result<Labels, BucketError> {
-        Ok(self.labels_and_version(name).await?.0)
-    }
+/// Labels as a bucket holds them.
+struct There {
+    labels: Labels,
+    version: Option<Small>,
+    /// Why they cannot be read, and count as pinned.
+    problem: Option<String>,
+}
 
-    async fn labels_and_version(
+/// What becomes of labels that cannot be read when they are changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Unreadable {
+    /// They stay: perhaps they can be mended.
+    Keep,
+    /// Whoever asks for the change has been told that they count as pinned.
+    Replace,
+}
+
+impl Bucket {
+    /// The labels of a checkpoint; none there are none. Of those that cannot be read, also why.
+    pub(crate) async fn labels(
         &self,
         name: &Name,
-    ) -> Result<(Labels, Option<Small>), BucketError> {
-        let key = format!("{}/{LABELS}", folder(name));
-        let Some(small) = self.read(&key).await? else { return Ok((Labels::default(), None)) };
-        let labels = serde_json::from_slice(&small.bytes).map_err(|error| {
-            BucketError::damaged(self.shown(&key), format!("not labels: {error}"))
-        })?;
-        Ok((labels, Some(small)))
+    ) -> Result<(Labels, Option<String>), BucketError> {
+        match self.labels_there(name).await {
+            Ok(there) => Ok((there.labels, there.problem)),
+            Err(BucketError::Damaged { reason, .. }) => Ok((Labels::unreadable(), Some(reason))),
+            Err(error) => Err(error),
+        }
+    }
+
+    async fn labels_there(&self, name: &Name) -> Result<There, BucketError> {
+        let Some(small) = self.read(&self.labels_key(name)).await? else {
+            return Ok(There { labels: Labels::default(), version: None, problem: None });
+        };
+        let (labels, problem) = match Labels::parse(&small.bytes) {
+            Ok(labels) => (labels, None),
+            Err(reason) => (Labels::unreadable(), Some(reason)),
+        };
+        Ok(There { labels, version: Some(small), problem })
+    }
+
+    fn labels_key(&self, name: &Name) -> String {
+        format!("{}/{LABELS}", folder(name))
+    }
+
+    /// The error of labels that cannot be read.
+    pub(crate) fn unreadable_labels(&self, name: &Name, problem: &str) -> BucketError {
+        let place = self.place(name);
+        let reason = format!(
+            "{problem}; the checkpoint counts as pinned; put this file back from a copy, or let `octopus checkpoints unpin \
+             {}` write it anew",
+            output::quoted(&place)
+        );
+        BucketError::damaged(self.shown(&self.labels_key(name)), reason)
     }
 
     /// Changes the labels of a checkpoint. Whoever changes them meanwhile is not overwritten: the change is made again
     /// to what is there then.
-    pub(crate) async fn relabel(
+    async fn relabel(
         &self,
         name: &Name,
+        unreadable: Unreadable,
         change: impl Fn(&mut Labels) -> Result<(), BucketError>,
-    ) -> Result<Labels, BucketError> {
-        let key = format!("{}/{LABELS}", folder(name));
+    ) -> Result<(), BucketError> {
+        let key = self.labels_key(name);
         for _ in 0..TRIES {
-            let (before, version) = self.labels_and_version(name).await?;
-            let mut after = before.clone();
+            let there = self.labels_there(name).await?;
+            if let (Some(problem), Unreadable::Keep) = (&there.problem, unreadable) {
+                return Err(self.unreadable_labels(name, problem));
+            }
+            let mut after = there.labels.clone();
             change(&mut after)?;
-            if after == before {
-                return Ok(after);
+            if after == there.labels && there.problem.is_none() {
+                return Ok(());
             }
             let text = serde_json::to_vec_pretty(&after).expect("labels have a JSON form");
-            if self.write_after(&key, version.as_ref(), text).await? == Written::Done {
-                return Ok(after);
+            if self.write_after(&key, there.version.as_ref(), text).await? == Written::Done {
+                return Ok(());
             }
         }
         let reason = "others change it at the same time, again and again".to_owned();
@@ -54,11 +96,10 @@ impl Bucket {
 
     /// Pins a checkpoint, so that it is not removed by hand, or lets it go.
     pub fn pin(&self, name: &Name, pinned: bool) -> Result<(), BucketError> {
-        self.wait(self.relabel(name, |labels| {
+        self.wait(self.relabel(name, Unreadable::Replace, |labels| {
             labels.pinned = pinned;
             Ok(())
         }))
-        .map(drop)
     }
 
     /// Gives a checkpoint a tag, and takes it from every other.
@@ -66,7 +107,7 @@ impl Bucket {
         self.wait(async {
             let listing = self.listing().await?;
             // On the new one first: cut off in between, both have it.
-            self.relabel(name, |labels| {
+            self.relabel(name, Unreadable::Replace, |labels| {
                 if labels.has_tag(tag.as_str()) {
                     return Ok(());
                 }
@@ -81,7 +122,7 @@ impl Bucket {
             .await?;
             let others = listing.checkpoints.iter().filter(|other| other.name != *name);
             for other in others.filter(|other| other.labels.has_tag(tag.as_str())) {
-                self.relabel(&other.name, |labels| {
+                self.relabel(&other.name, Unreadable::Keep, |labels| {
                     labels.tags.retain(|there| there != tag);
                     Ok(())
                 })
@@ -98,7 +139,7 @@ impl Bucket {
             let mut holders = Vec::new();
             for holder in listing.checkpoints {
                 if holder.labels.has_tag(tag.as_str()) {
-                    self.relabel(&holder.name, |labels| {
+                    self.relabel(&holder.name, Unreadable::Keep, |labels| {
                         labels.tags.retain(|there| there != tag);
                         Ok(())
                     })
@@ -118,7 +159,7 @@ impl Bucket {
         sent: &Labels,
         local: &Labels,
     ) -> Result<(), BucketError> {
-        self.relabel(name, |there| {
+        self.relabel(name, Unreadable::Keep, |there| {
             if local.pinned != sent.pinned {
                 there.pinned = local.pinned;
             }
@@ -134,6 +175,35 @@ impl Bucket {
             Ok(())
         })
         .await
-        .map(drop)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What somebody has said in them would be lost, and a pinned checkpoint with it.
+    #[test]
+    fn labels_that_cannot_be_read_count_as_pinned_and_only_their_user_replaces_them() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let bucket = Bucket::open(&format!("file://{}", dir.path().display())).expect("opens");
+        let name = Name::of_iteration(5);
+        let key = bucket.labels_key(&name);
+        for damage in ["", "{", "[]", "{\"pinned\": 3}", "{\"surprise\": 1}"] {
+            bucket.wait(bucket.write_named(&key, damage.into())).expect("written");
+            let (labels, problem) = bucket.wait(bucket.labels(&name)).expect("told");
+            assert!(labels.pinned && problem.expect("why").contains("not labels"), "{damage}");
+            bucket.delete(&name).expect_err("pinned");
+            let (sent, local) =
+                (Labels::default(), Labels { milestone: true, ..Labels::default() });
+            let said = bucket.wait(bucket.send_labels(&name, &sent, &local)).expect_err("kept");
+            assert!(matches!(said, BucketError::Damaged { .. }));
+            assert!(said.to_string().contains("octopus checkpoints unpin file:///"), "{said}");
+            let there = bucket.wait(bucket.read(&key)).expect("read").expect("there");
+            assert_eq!(there.bytes, damage);
+        }
+        bucket.pin(&name, true).expect("written anew");
+        let pinned = (Labels::unreadable(), None);
+        assert_eq!(bucket.wait(bucket.labels(&name)).expect("read"), pinned);
     }
 }

@@ -19,6 +19,8 @@ pub struct Listed {
     pub(crate) record: Record,
     /// What users and runs say about it.
     pub labels: Labels,
+    /// Why that cannot be read, and counts as pinned.
+    pub(crate) labels_problem: Option<String>,
 }
 
 impl Listed {
@@ -33,7 +35,7 @@ impl Listed {
 pub struct Listing {
     /// Checkpoints, in the order of their names, which is that of their iterations.
     pub checkpoints: Vec<Listed>,
-    /// Those whose manifest or labels cannot be understood, and why.
+    /// Those whose manifest cannot be understood, and why.
     pub damaged: Vec<(Name, String)>,
 }
 
@@ -70,6 +72,13 @@ impl Bucket {
         Ok(listing)
     }
 
+    /// Says of labels that cannot be read what to do.
+    pub(crate) fn warn_of_labels(&self, listed: &Listed) {
+        if let Some(problem) = &listed.labels_problem {
+            tracing::warn!("{}", self.unreadable_labels(&listed.name, problem));
+        }
+    }
+
     async fn look(&self, name: &Name) -> Result<Option<Listed>, BucketError> {
         let key = format!("{}/{MANIFEST}", folder(name));
         let Some(small) = self.read(&key).await? else { return Ok(None) };
@@ -79,7 +88,7 @@ impl Bucket {
             let reason = format!("is of iteration {}, not of that name", record.manifest.iteration);
             return Err(BucketError::damaged(self.shown(&key), reason));
         }
-        let labels = self.labels(name).await?;
-        Ok(Some(Listed { name: name.clone(), record, labels }))
+        let (labels, labels_problem) = self.labels(name).await?;
+        Ok(Some(Listed { name: name.clone(), record, labels, labels_problem }))
     }
 }

@@ -66,6 +66,7 @@ impl Mirror {
             pause: Duration::ZERO,
             next: None,
             set_aside: BTreeMap::new(),
+            unreadable_labels: None,
             listener,
         };
         sender.tell();
@@ -122,6 +123,8 @@ struct Sending {
     next: Option<Instant>,
     /// Checkpoints whose own files were in the way: when each may be tried again, and what is wrong with it.
     set_aside: BTreeMap<Name, (Instant, String)>,
+    /// What is wrong with labels in the bucket that are in the way of those from here.
+    unreadable_labels: Option<String>,
     listener: Listener,
 }
 
@@ -178,6 +181,9 @@ impl Sending {
         if let Some((_, (_, why))) = self.set_aside.last_key_value() {
             let then = "it is passed over until it can be, and the run goes on";
             self.warn("not all checkpoints are sent", why.clone(), then);
+        } else if let Some(why) = &self.unreadable_labels {
+            let then = "checkpoints and other labels are sent";
+            self.warn("not all labels are sent", why.clone(), then);
         } else if self.sent.trouble.take().is_some() {
             self.remember();
             self.tell();
@@ -223,7 +229,10 @@ impl Sending {
         }
     }
 
+    /// Sends labels that have changed. Those that cannot be read in the bucket stay as they are: what others have said
+    /// there may be in them.
     fn send_labels(&mut self, entries: &[Entry]) -> Result<(), BucketError> {
+        self.unreadable_labels = None;
         for entry in entries {
             let before = self.sent.labels(&entry.name).cloned().unwrap_or_default();
             if !self.sent.has(entry) || before == entry.labels {
@@ -231,7 +240,14 @@ impl Sending {
             }
             self.claim()?;
             let bucket = &self.bucket;
-            bucket.wait(bucket.send_labels(&entry.name, &before, &entry.labels))?;
+            match bucket.wait(bucket.send_labels(&entry.name, &before, &entry.labels)) {
+                Ok(()) => {}
+                Err(error @ BucketError::Damaged { .. }) => {
+                    self.unreadable_labels = Some(error.to_string());
+                    continue;
+                }
+                Err(error) => return Err(error),
+            }
             self.sent.add(entry.name.clone(), entry.digest, &entry.labels);
             self.remember();
         }

@@ -47,6 +47,7 @@ impl Replica {
             .map_err(|error| file_error(&std::env::temp_dir(), &error))?;
         let listing = bucket.list()?;
         for listed in &listing.checkpoints {
+            bucket.warn_of_labels(listed);
             summarise(listed, dir.path())?;
         }
         let (whole, refused) = (BTreeMap::new(), BTreeMap::new());
@@ -200,6 +201,9 @@ impl Replica {
             self.refused.remove(&before.name);
         }
         let other = |listed: &&Listed| !self.listing.checkpoints.contains(listed);
+        for listed in listing.checkpoints.iter().filter(other) {
+            self.bucket.warn_of_labels(listed);
+        }
         let whole = listing.checkpoints.iter().filter(|listed| self.is_whole(listed));
         for listed in whole.filter(other) {
             summarise(listed, self.dir.path())?;

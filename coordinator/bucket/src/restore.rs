@@ -71,6 +71,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
             }
         }
         let Some((base, dir, recorded)) = base else { return Err(passed_over.remove(0)) };
+        bucket.warn_of_labels(base);
         let mut bytes = base.manifest().bytes();
         sent.add(base.name.clone(), base.manifest().digest, &base.labels);
         let base_files = CheckpointStore::new(&root).load(&dir)?;

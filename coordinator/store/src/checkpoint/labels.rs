@@ -79,7 +79,7 @@ impl Labels {
             Ok(labels) => labels,
             Err(error) => {
                 tracing::warn!(%error, "damaged labels; the checkpoint counts as pinned");
-                Self { pinned: true, ..Self::default() }
+                Self::unreadable()
             }
         }
     }
@@ -94,10 +94,20 @@ impl Labels {
         };
         let mut bytes = Vec::new();
         file.take(MAX_LEN).read_to_end(&mut bytes).map_err(CheckpointError::io(&path, "read"))?;
+        Self::parse(&bytes).map_err(|reason| CheckpointError::damaged(&path, reason))
+    }
+
+    /// Reads what labels are written as, or says why it is none.
+    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         // Through an object: as a sequence `[]` would be labels too, and would unpin.
-        serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(&bytes)
+        serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes)
             .and_then(|object| serde_json::from_value(object.into()))
-            .map_err(|error| CheckpointError::damaged(&path, format!("not labels: {error}")))
+            .map_err(|error| format!("not labels: {error}"))
+    }
+
+    /// What counts where labels cannot be read: pinned, so that nothing is removed by mistake.
+    pub fn unreadable() -> Self {
+        Self { pinned: true, ..Self::default() }
     }
 
     /// Replaces the labels of the checkpoint in `dir`: a reader finds the old or the new.
