@@ -1,7 +1,9 @@
 //! A local copy of what a bucket holds, for commands that read: everything that works on a store works on it.
 
+use std::cell::OnceCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::path::PathBuf;
 
 use object_store::ObjectMeta;
 use proto::Digest;
@@ -12,17 +14,19 @@ use tempfile::TempDir;
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
-use crate::fetch::{file_error, summarise};
+use crate::fetch::{file_error, summarise, write};
 use crate::listing::{Listed, Listing};
 use crate::ownership::{fetch_recorded_of_own, is_own, resumable};
 use crate::record::{LABELS, Record};
 
-/// A store in a directory that goes away with it. At first it holds manifests and labels alone.
+/// A store in a directory that goes away with it, like that of a run. At first it holds manifests and labels alone.
 #[derive(Debug)]
 pub struct Replica {
     bucket: Bucket,
     dir: TempDir,
     listing: Listing,
+    /// The newest checkpoint that a run would go on from, and what the run had recorded by then, once it was asked for.
+    newest: OnceCell<Option<(Name, Recorded)>>,
     whole: BTreeMap<Name, Digest>,
     refused: BTreeMap<Name, Refused>,
     /// Whether the index is of what was here before.
@@ -46,12 +50,15 @@ impl Replica {
             .tempdir()
             .map_err(|error| file_error(&std::env::temp_dir(), &error))?;
         let listing = bucket.list()?;
-        for listed in &listing.checkpoints {
-            bucket.warn_of_labels(listed);
-            summarise(listed, dir.path())?;
-        }
         let (whole, refused) = (BTreeMap::new(), BTreeMap::new());
-        let replica = Self { bucket, dir, listing, whole, refused, stale: false };
+        let newest = OnceCell::new();
+        let replica = Self { bucket, dir, listing, newest, whole, refused, stale: false };
+        let root = replica.root();
+        fs::create_dir(&root).map_err(|error| file_error(&root, &error))?;
+        for listed in &replica.listing.checkpoints {
+            replica.bucket.warn_of_labels(listed);
+            summarise(listed, &root)?;
+        }
         replica.index()?;
         Ok(replica)
     }
@@ -63,7 +70,16 @@ impl Replica {
 
     /// The store.
     pub fn store(&self) -> CheckpointStore {
-        CheckpointStore::new(self.dir.path())
+        CheckpointStore::new(self.root())
+    }
+
+    /// What is around the store, as it is around that of a run.
+    fn run(&self) -> RunDir {
+        RunDir::new(self.dir.path())
+    }
+
+    fn root(&self) -> PathBuf {
+        self.run().checkpoints()
     }
 
     /// All checkpoints at a glance, with their places in the bucket.
@@ -85,14 +101,34 @@ impl Replica {
         Ok(survey)
     }
 
-    /// The newest checkpoint that a run would go on from, and what the run had recorded by then.
-    fn newest_own(&self) -> Result<Option<(&Listed, Recorded)>, BucketError> {
+    /// The newest checkpoint that a run would go on from, and what the run had recorded by then. From then on the store
+    /// is that of the run, and tells the run's own checkpoints from others.
+    fn newest_own(&self) -> Result<Option<&(Name, Recorded)>, BucketError> {
+        if self.newest.get().is_none() {
+            let found = self.find_newest_own()?;
+            // Nobody else sets it.
+            let _ = self.newest.set(found);
+        }
+        Ok(self.newest.get().and_then(Option::as_ref))
+    }
+
+    fn find_newest_own(&self) -> Result<Option<(Name, Recorded)>, BucketError> {
+        let run = self.run();
+        let [config, metrics] = [run.config(), run.metrics_jsonl()];
         for listed in resumable(&self.listing) {
-            let scratch =
-                tempfile::tempdir().map_err(|error| file_error(&std::env::temp_dir(), &error))?;
-            let run = RunDir::new(scratch.path());
-            match fetch_recorded_of_own(&self.bucket, listed, &run) {
-                Ok(recorded) => return Ok(Some((listed, recorded))),
+            let scratch = tempfile::tempdir_in(run.path())
+                .map_err(|error| file_error(run.path(), &error))?;
+            let brought = RunDir::new(scratch.path());
+            match fetch_recorded_of_own(&self.bucket, listed, &brought) {
+                Ok(recorded) => {
+                    if recorded.iterations() > 0 {
+                        fs::rename(brought.metrics_jsonl(), &metrics)
+                            .map_err(|error| file_error(&metrics, &error))?;
+                        // A run has one, whatever is in it.
+                        write(&config, b"")?;
+                    }
+                    return Ok(Some((listed.name.clone(), recorded)));
+                }
                 // A resume passes it over, too.
                 Err(BucketError::Damaged { .. } | BucketError::Local(_)) => {}
                 Err(error) => return Err(error),
@@ -104,7 +140,7 @@ impl Replica {
     /// Names of the checkpoints that the run has come to; the others were copied beside them.
     pub fn own(&self) -> Result<BTreeSet<Name>, BucketError> {
         let Some((_, recorded)) = self.newest_own()? else { return Ok(BTreeSet::new()) };
-        let own = self.listing.checkpoints.iter().filter(|listed| is_own(listed, &recorded));
+        let own = self.listing.checkpoints.iter().filter(|listed| is_own(listed, recorded));
         Ok(own.map(|listed| listed.name.clone()).collect())
     }
 
@@ -112,12 +148,13 @@ impl Replica {
     pub fn locate(&self, selector: &Selector) -> Result<Name, BucketError> {
         let newest = selector.choice().is_none_or(|choice| choice.as_str() == LATEST);
         if newest {
-            let (listed, _) = self.newest_own()?.ok_or_else(|| nothing(&self.bucket))?;
-            return Ok(listed.name.clone());
+            let (name, _) = self.newest_own()?.ok_or_else(|| nothing(&self.bucket))?;
+            return Ok(name.clone());
         }
-        let (_, name) = selector.elsewhere(self.dir.path()).locate().map_err(|error| {
+        let root = self.root();
+        let (_, name) = selector.elsewhere(&root).locate().map_err(|error| {
             // Its own words, about the place that the user knows.
-            let local = self.dir.path().display().to_string();
+            let local = root.display().to_string();
             let what = error.to_string().replace(&local, self.bucket.address());
             let what = what.strip_prefix(self.bucket.address()).unwrap_or(&what);
             BucketError::NotFound {
@@ -131,7 +168,7 @@ impl Replica {
     /// Brings all files of a checkpoint.
     pub fn fetch(&mut self, name: &Name) -> Result<(), BucketError> {
         let listed = self.listed(name)?;
-        self.bucket.fetch(listed, self.dir.path())?;
+        self.bucket.fetch(listed, &self.root())?;
         let digest = listed.manifest().digest;
         self.whole.insert(name.clone(), digest);
         Ok(())
@@ -170,7 +207,7 @@ impl Replica {
                 }
                 Err(error @ (BucketError::Damaged { .. } | BucketError::Local(_))) => {
                     // What is listed and not whole is not shown.
-                    let _ = fs::remove_dir_all(self.dir.path().join(name.as_str()));
+                    let _ = fs::remove_dir_all(self.root().join(name.as_str()));
                     self.whole.remove(name);
                     let reason = error.to_string();
                     reasons.push(reason.clone());
@@ -195,8 +232,7 @@ impl Replica {
                 !listing.checkpoints.iter().any(|listed| listed.name == before.name)
             });
         for before in gone {
-            let dir = self.dir.path().join(before.name.as_str());
-            let _ = fs::remove_dir_all(&dir);
+            let _ = fs::remove_dir_all(self.root().join(before.name.as_str()));
             self.whole.remove(&before.name);
             self.refused.remove(&before.name);
         }
@@ -206,9 +242,12 @@ impl Replica {
         }
         let whole = listing.checkpoints.iter().filter(|listed| self.is_whole(listed));
         for listed in whole.filter(other) {
-            summarise(listed, self.dir.path())?;
+            summarise(listed, &self.root())?;
         }
-        self.stale |= listing.checkpoints != self.listing.checkpoints;
+        if listing.checkpoints != self.listing.checkpoints {
+            self.stale = true;
+            self.newest = OnceCell::new();
+        }
         self.listing = listing;
         self.bring()
     }
@@ -228,7 +267,12 @@ impl Replica {
 
     /// The catalogue, and the tag `best` where the scores say.
     fn index(&self) -> Result<(), BucketError> {
-        if !self.listing.checkpoints.is_empty() {
+        let all = &self.listing.checkpoints;
+        // Whose they are says which is the best one, and the newest where all are shown.
+        if self.stale || all.iter().any(|listed| listed.labels.score.is_some()) {
+            self.newest_own()?;
+        }
+        if !all.is_empty() {
             self.store().rebuild()?;
         }
         Ok(())
@@ -302,7 +346,7 @@ mod tests {
 
     /// Of a bucket that an earlier version has written: a resume goes on from the first.
     #[test]
-    fn what_was_copied_into_a_run_is_the_newest_of_nothing() {
+    fn what_was_copied_into_a_run_is_the_newest_and_the_best_of_nothing() {
         let (_dir, bucket, _) = bucket();
         let place = tempfile::tempdir().expect("tempdir");
         let run = RunDir::new(place.path());
@@ -316,8 +360,28 @@ mod tests {
             let selector = format!("{}{choice}", bucket.address()).parse().expect("one");
             replica.locate(&selector).expect("there")
         };
-        assert_eq!([located(""), located(":latest")], [first.clone(), first]);
+        assert_eq!([located(""), located(":latest")], [first.clone(), first.clone()]);
         assert_eq!(located(":2"), copied, "by its name it is found");
+        // Nor is it the best, however good it is.
+        for (name, value) in [(&first, 2.0), (&copied, 1.0)] {
+            let labels = format!(
+                "{{\"score\":{{\"value\":{value},\"episodes\":1,\"steps\":1,\"seed\":0}}}}"
+            );
+            put(&bucket, &format!("{}/{LABELS}", record::folder(name)), &labels);
+        }
+        let mut replica = replica;
+        for fresh in [false, true] {
+            if fresh {
+                replica = Replica::new(bucket.address()).expect("a replica");
+            } else {
+                replica.refresh().expect("reads");
+            }
+            let best = format!("{}:best", bucket.address()).parse().expect("a selector");
+            assert_eq!(replica.locate(&best).expect("there"), first);
+            let entries = replica.survey().expect("listed").entries;
+            let best = entries.iter().filter(|entry| entry.labels.has_tag("best"));
+            assert_eq!(best.map(|entry| &entry.name).collect::<Vec<_>>(), [&first]);
+        }
     }
 
     /// It would be brought every ten seconds for ever.
@@ -331,7 +395,7 @@ mod tests {
         let first = replica.fetch_all().expect("reads");
         assert!(first[0].contains(POLICY), "{first:?}");
         // A mark that a second attempt would remove.
-        let mark = replica.dir.path().join(name.as_str());
+        let mark = replica.root().join(name.as_str());
         fs::create_dir(&mark).expect("writes");
         assert_eq!(replica.refresh().expect("reads"), first, "it is still said");
         assert!(mark.exists(), "it was brought again");
@@ -345,8 +409,8 @@ mod tests {
         let (_dir, bucket, name) = bucket();
         let mut replica = Replica::new(bucket.address()).expect("a replica");
         assert_eq!(replica.fetch_all().expect("reads"), [""; 0]);
-        let catalogue = replica.dir.path().join("catalogue.sqlite");
-        let manifest = replica.dir.path().join(name.as_str()).join(MANIFEST);
+        let catalogue = replica.root().join("catalogue.sqlite");
+        let manifest = replica.root().join(name.as_str()).join(MANIFEST);
         for file in [&catalogue, &manifest] {
             fs::remove_file(file).expect("is there");
         }
