@@ -60,6 +60,10 @@ impl Layers {
         let parsed = match wrapped.parse::<Table>() {
             Ok(table) if table.len() == 1 => table["value"].clone(),
             Ok(_) => return Err(ConfigError::Assignment { origin, message: ONE_KEY }),
+            // Also where the key wants a text, and would take all of it.
+            Err(_) if self.names_another_key(value)? => {
+                return Err(ConfigError::Assignment { origin, message: ONE_KEY });
+            }
             Err(_) if is_word && !is_number => Value::String(value.to_owned()),
             Err(_) if !value.starts_with(['"', '\'']) && self.is_text(key)? => {
                 Value::String(value.to_owned())
@@ -67,9 +71,6 @@ impl Layers {
             Err(_) if is_number => {
                 let message = format!("{value} is no number, or one that is too large");
                 return Err(ConfigError::Syntax { origin, message });
-            }
-            Err(_) if self.names_another_key(value)? => {
-                return Err(ConfigError::Assignment { origin, message: ONE_KEY });
             }
             // The parser's words show the line, which nobody has written.
             Err(error) => {
@@ -92,13 +93,13 @@ impl Layers {
         Ok(slot(&Value::Table(base), key).is_none_or(Value::is_str))
     }
 
-    /// Whether a key that there is gets a value within what is written as the value of one.
+    /// Whether a key that there is gets a value within what is written as the value of one. Groups get none.
     fn names_another_key(&self, value: &str) -> Result<bool, ConfigError> {
         let (base, _) = self.preset.tables()?;
         let base = Value::Table(base);
+        let is_key = |key: &str| slot(&base, key).is_some_and(|there| !there.is_table());
         let mut parts = value.split(|c: char| c.is_whitespace() || ",;".contains(c));
-        Ok(parts
-            .any(|part| part.split_once('=').is_some_and(|(key, _)| slot(&base, key).is_some())))
+        Ok(parts.any(|part| part.split_once('=').is_some_and(|(key, _)| is_key(key))))
     }
 
     /// Merges all layers and checks the result.

@@ -338,11 +338,19 @@ fn an_assignment_is_of_one_key() {
         "algorithm.gamma=0.9,algorithm.clip=0.1",
         "run.seed=1 run.workers=2",
         "network.hidden=[64,64]; run.seed=2",
+        // Of keys that want a text.
+        "run.device=cpu,run.seed=2",
+        "run.checkpoints=file:///a run.seed=2",
     ] {
         let message = message(&[wrong]);
         assert!(message.contains("expected one KEY=VALUE; write --set once"), "{message}");
         assert!(!message.contains("TOML"), "{message}");
     }
+    let trial = "file:///sweeps/gamma=0.9,run=5,seed=2";
+    let config = resolve(&[&format!("run.checkpoints={trial}")]).expect("no key has such a name");
+    assert_eq!(config.run.checkpoints, trial);
+    let quoted = resolve(&["run.checkpoints=\"file:///a,run.seed=2\""]).expect("a text");
+    assert_eq!(quoted.run.checkpoints, "file:///a,run.seed=2");
     let lines = resolve(&["network.hidden=[64,\n64]"]).expect("one value");
     assert_eq!(lines.network.hidden, [64, 64]);
 }
