@@ -160,8 +160,9 @@ def compared(page):
     for name in (first, second):
         page.tab.click(".checkpoints tr[data-name='%s'] button[aria-label^=Compare]" % name)
     page.tab.wait_for_selector(".comparison tbody tr:has-text('Iterations')")
-    cells = page.tab.locator(".comparison tbody tr:has-text('Iterations') td.number").all_inner_texts()
-    expected = [str(page.feed("f.checkpoints.find((c) => c.name === '%s').iteration" % name)) for name in (first, second)]
+    # Thousands stand apart: "1 234".
+    cells = [int("".join(text.split())) for text in page.tab.locator(".comparison tbody tr:has-text('Iterations') td.number").all_inner_texts()]
+    expected = [page.feed("f.checkpoints.find((c) => c.name === '%s').iteration" % name) for name in (first, second)]
     check(cells == expected, "compared are the iterations %s, not %s" % (cells, expected))
     moved = page.tab.locator(".comparison tr[data-tensor] td:nth-child(2)").all_text_contents()
     check(len(moved) > 0 and any(float(norm) > 0 for norm in moved), "no tensor has moved: %s" % moved)
