@@ -204,6 +204,7 @@ def play(context, address):
     found["replayed_steps"] = play_again(context, page, address)
     links(context, page, address)
     own_mass(page)
+    begun_anew(page)
     found["frames_per_s"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.framesPerSecond)")
     found["step_ms"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.stepMs)")
     page.quiet()
@@ -274,6 +275,22 @@ def own_mass(page):
         page.press("ArrowLeft")
         page.wait("%s !== %r" % (told, heavier))
         check(page.room(told) == own, "a base of %r kg has %r kg afterwards" % (own, page.room(told)))
+
+
+def begun_anew(page):
+    """What an episode still wanted does not stop the one that begins in its place."""
+    page.room("timeline.play(false)")
+    page.wait("!timeline.busy")
+    # A picture that wants control steps is drawn while the simulator begins.
+    begun = page.room(
+        """(async () => { const { simulation } = timeline, begin = simulation.begin;
+        simulation.begin = function (...asked) { const answer = begin.apply(this, asked); timeline.tick(5); return answer; };
+        timeline.play(true);
+        try { return await room.play(room.current); } finally { simulation.begin = begin; } })()"""
+    )
+    check(begun, "no episode begins")
+    page.wait("timeline.head >= 3 || !timeline.playing")
+    check(page.room("timeline.playing"), "an episode stops the one that begins in its place")
 
 
 def one_file(chromium, path):

@@ -59,6 +59,8 @@ export class Timeline {
 
     async begin(policies: PolicyFiles[], start: Start): Promise<void> {
         const episode = ++this.episode;
+        // Steps of the episode before are none of the one that begins: the simulator would refuse them, and that would stop this one.
+        this.busy = true;
         const { description, frame } = await this.simulation.begin(policies, start).catch((error: unknown) => {
             // The episode before goes on, without the answer that it waited for.
             if (episode === this.episode) this.busy = this.acting = false;
