@@ -1,15 +1,15 @@
-//! `octopus clean`: removes what killed runs left in shared memory.
+//! `octopus clean`: removes what killed runs left in shared memory, and killed commands among the temporary files.
 //!
 //! A domain is dead when no coordinator holds its lock, which also one in another container does that
 //! shares `/dev/shm` and no processes, and no process of this machine names it on its command line (as
 //! workers, learner and janitor do) or maps its memory. What lies there under its name then belongs to
-//! nobody.
+//! nobody. A directory among the temporary files is left over when nobody holds its lock, and nobody names it.
 
 use anyhow::Context as _;
 use channels::Domain;
 use clap::Args;
-
 use serde_json::json;
+use store::scratch::{self, Leftover};
 
 const CLEAN_EXAMPLES: &str = "\
 Examples:
@@ -17,7 +17,8 @@ Examples:
   octopus clean
 
 A run that is killed is cleaned up after by its janitor; this is for what is left when that was \
-killed, too. What a living process uses is never touched.";
+killed, too, and for the temporary directories of killed commands (in TMPDIR, or else /tmp). What a \
+living process uses is never touched.";
 
 /// Options of `octopus clean`.
 #[derive(Debug, Clone, Copy, Args)]
@@ -33,34 +34,58 @@ pub struct CleanArgs {
 
 /// Cleans.
 pub fn run(args: CleanArgs) -> anyhow::Result<()> {
+    let domains = leftovers().context("/dev/shm cannot be searched")?;
+    let directories = left_directories()?;
     let mut cleaned = Vec::new();
-    for domain in leftovers().context("/dev/shm cannot be searched")? {
+    for domain in domains {
         let removed = if args.dry_run {
             None
         } else {
             let removed = domain.remove_leftovers();
             Some(removed.with_context(|| format!("domain {} cannot be removed", domain.as_str()))?)
         };
-        cleaned.push((domain, removed));
-    }
-    if args.json {
-        let entries = cleaned
-            .iter()
-            .map(|(domain, removed)| json!({ "domain": domain.as_str(), "removed": removed }));
-        return output::json(&entries.collect::<Vec<_>>());
-    }
-    if cleaned.is_empty() {
-        return output::line("nothing to remove");
-    }
-    for (domain, removed) in cleaned {
-        output::line(&match removed {
+        let words = match removed {
             Some(files) => {
                 format!("removed {} ({})", domain.as_str(), output::counted(files as u64, "file"))
             }
             None => format!("would remove {}", domain.as_str()),
-        })?;
+        };
+        cleaned.push((words, json!({ "domain": domain.as_str(), "removed": removed })));
     }
-    Ok(())
+    for directory in directories {
+        let path = directory.path().to_owned();
+        let (verb, removed) = if args.dry_run {
+            ("would remove", None)
+        } else {
+            directory.remove().with_context(|| format!("{}: cannot be removed", path.display()))?;
+            ("removed", Some(1))
+        };
+        let words = format!("{verb} {}", path.display());
+        cleaned.push((words, json!({ "directory": path, "removed": removed })));
+    }
+    if args.json {
+        return output::json(&cleaned.iter().map(|(_, entry)| entry).collect::<Vec<_>>());
+    }
+    if cleaned.is_empty() {
+        return output::line("nothing to remove");
+    }
+    cleaned.iter().try_for_each(|(words, _)| output::line(words))
+}
+
+/// Temporary directories of this user's commands that no process uses. What a killed one had started may still
+/// do, and names it.
+fn left_directories() -> anyhow::Result<Vec<Leftover>> {
+    let place = scratch::place();
+    let mut found =
+        scratch::leftovers().with_context(|| format!("{}: cannot be searched", place.display()))?;
+    if !found.is_empty() {
+        let traces = traces().context("/proc cannot be searched")?;
+        found.retain(|leftover| {
+            let path = leftover.path().to_string_lossy();
+            !traces.iter().any(|trace| trace.contains(&*path))
+        });
+    }
+    Ok(found)
 }
 
 /// Domains of this user that no process belongs to.

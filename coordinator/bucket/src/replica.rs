@@ -10,7 +10,7 @@ use proto::Digest;
 use proto::run_dir::RunDir;
 use store::checkpoint::{CheckpointStore, DamagedEntry, LATEST, Name, Selector, Survey};
 use store::recorded::Recorded;
-use tempfile::TempDir;
+use store::scratch::{self, Scratch};
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
@@ -23,7 +23,7 @@ use crate::record::{LABELS, Record};
 #[derive(Debug)]
 pub struct Replica {
     bucket: Bucket,
-    dir: TempDir,
+    dir: Scratch,
     listing: Listing,
     /// The newest checkpoint that a run would go on from, and what the run had recorded by then, once it was asked for.
     newest: OnceCell<Option<(Name, Recorded)>>,
@@ -45,10 +45,7 @@ impl Replica {
     /// Looks at a bucket.
     pub fn new(address: &str) -> Result<Self, BucketError> {
         let bucket = Bucket::open(address)?;
-        let dir = tempfile::Builder::new()
-            .prefix("spaceoctopus-bucket-")
-            .tempdir()
-            .map_err(|error| file_error(&std::env::temp_dir(), &error))?;
+        let dir = Scratch::new("bucket").map_err(|error| file_error(&scratch::place(), &error))?;
         let listing = bucket.list()?;
         let (whole, refused) = (BTreeMap::new(), BTreeMap::new());
         let newest = OnceCell::new();
@@ -116,8 +113,8 @@ impl Replica {
         let run = self.run();
         let [config, metrics] = [run.config(), run.metrics_jsonl()];
         for listed in resumable(&self.listing) {
-            let scratch = tempfile::tempdir_in(run.path())
-                .map_err(|error| file_error(run.path(), &error))?;
+            let scratch =
+                tempfile::tempdir_in(run.path()).map_err(|error| file_error(run.path(), &error))?;
             let brought = RunDir::new(scratch.path());
             match fetch_recorded_of_own(&self.bucket, listed, &brought) {
                 Ok(recorded) => {
@@ -290,6 +287,7 @@ pub(crate) fn nothing(bucket: &Bucket) -> BucketError {
 #[cfg(test)]
 mod tests {
     use store::checkpoint::{CONFIG, FORMAT, FileEntry, MANIFEST, Manifest, POLICY, ROBOT, STATE};
+    use tempfile::TempDir;
 
     use super::*;
     use crate::{record, recorded_files};

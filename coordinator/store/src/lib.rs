@@ -7,7 +7,8 @@
 //! * [`provenance`]: which program and machine made something;
 //! * [`files`]: files that are whole or absent; [`outputs`]: what a command may write over;
 //! * [`stamp`]: whether a file is still the one that was looked at before;
-//! * [`regular_files`], [`owned_files`]: files that others may have put there, read with care.
+//! * [`regular_files`], [`owned_files`]: files that others may have put there, read with care;
+//! * [`scratch`]: directories that do not last, and those that killed processes have left.
 
 pub mod budgets;
 pub mod checkpoint;
@@ -21,4 +22,5 @@ pub mod recorded;
 pub mod regular_files;
 pub mod run_files;
 pub mod runs;
+pub mod scratch;
 pub mod stamp;

@@ -13,7 +13,7 @@ use serde_json::Value;
 use simulator::env::step_options;
 use simulator::robot::Robot;
 use store::provenance::Provenance;
-use tempfile::TempDir;
+use store::scratch::Scratch;
 
 use super::load::Load;
 use super::study::{Study, TRAINED};
@@ -31,7 +31,7 @@ pub(super) struct Bench {
     pub(super) train_args: Vec<String>,
     pub(super) stop: StopRequests,
     /// A directory that goes away in the end.
-    pub(super) scratch: TempDir,
+    pub(super) scratch: Scratch,
     pub(super) stages: Stages,
 }
 
@@ -51,7 +51,7 @@ impl Bench {
         train_args.extend(study.sets.iter().map(|assignment| format!("--set={assignment}")));
         let stop = StopRequests::new();
         stop.listen().context("signals cannot be caught")?;
-        let scratch = tempfile::Builder::new().prefix("octopus-bench-").tempdir();
+        let scratch = Scratch::new("bench");
         Ok(Self {
             dimensions: Dimensions::new(&config, robot.joints),
             preset,

@@ -1,7 +1,5 @@
 //! Trains a part of a run again, beside it, and compares.
 
-use std::fs::Permissions;
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
@@ -21,7 +19,7 @@ use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore, Manifest, Name};
 use store::files;
 use store::provenance::Provenance;
-use tempfile::TempDir;
+use store::scratch;
 
 use super::comparison::Comparison;
 use super::differences::{self, ProvenanceDifference};
@@ -299,13 +297,13 @@ fn foreign(run: &Record, checkpoint: &Checkpoint) -> Option<String> {
 #[derive(Debug)]
 struct Scratch {
     run_dir: RunDir,
-    dir: TempDir,
+    dir: scratch::Scratch,
 }
 
 impl Scratch {
     fn create() -> Result<Self, ExitError> {
         let fail = |error: std::io::Error| {
-            let place = std::env::temp_dir();
+            let place = scratch::place();
             let message = format!(
                 "{}: a directory cannot be created in it: {error}; {}",
                 place.display(),
@@ -313,12 +311,7 @@ impl Scratch {
             );
             ExitError::new(ExitCode::Environment, message)
         };
-        // Nobody else reads what is in it.
-        let dir = tempfile::Builder::new()
-            .prefix("octopus-verify-")
-            .permissions(Permissions::from_mode(0o700))
-            .tempdir()
-            .map_err(fail)?;
+        let dir = scratch::Scratch::new("verify").map_err(fail)?;
         let run_dir = RunDir::new(dir.path());
         for folder in [run_dir.logs(), run_dir.checkpoints()] {
             std::fs::create_dir(folder).map_err(fail)?;
@@ -337,6 +330,8 @@ impl Scratch {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt as _;
+
     use super::*;
 
     #[test]

@@ -24,6 +24,7 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use simulator::robot::Robot;
+use store::scratch::{self, Scratch};
 
 use self::gateway::{Gateway, Word};
 use self::host::Host;
@@ -73,11 +74,11 @@ fn membership(
     let unmade = |error: std::io::Error| {
         let message = format!(
             "{}: no temporary directory can be made: {error}; TMPDIR names another place",
-            std::env::temp_dir().display()
+            scratch::place().display()
         );
         ExitError::new(ExitCode::Environment, message)
     };
-    let dir = tempfile::Builder::new().prefix("octopus-join-").tempdir().map_err(unmade)?;
+    let dir = Scratch::new("join").map_err(unmade)?;
     let run_dir = RunDir::new(dir.path());
     std::fs::create_dir(run_dir.logs()).map_err(unmade)?;
     let mut gateway = Gateway::start(spec, &run_dir)?;
