@@ -408,7 +408,7 @@ mod tests {
         let error = parse("octopus train --set algorithm.gama=0.9").expect_err("unknown");
         assert_eq!(
             error.to_string(),
-            "--set algorithm.gama=0.9: unknown key `algorithm.gama`; did you mean `gamma`?"
+            "--set algorithm.gama=0.9: unknown key `algorithm.gama`; did you mean `algorithm.gamma`?"
         );
         let error = parse("octopus train --algorithm ippo --set network.critic_state=compact")
             .expect_err("a contradiction")

@@ -463,7 +463,7 @@ fn a_trial_whose_run_was_removed_is_trained_and_scored_anew() {
 fn sweeps_that_cannot_be() {
     let sweep = Sweep::new(GRID);
     for (text, code, words) in [
-        ("[grid]\nalgorithm.gama = [0.9]", 3, "did you mean `gamma`?"),
+        ("[grid]\nalgorithm.gama = [0.9]", 3, "did you mean `algorithm.gamma`?"),
         ("iterations = 0", 3, "key `iterations` wants a whole number, 1 or more, got 0"),
         ("[grid]\n", 3, "[grid] has no keys"),
         ("iterations = 2\n[halving]\nrungs = [2.0]", 3, "above 0 and below 1"),

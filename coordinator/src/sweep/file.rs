@@ -352,7 +352,7 @@ mod tests {
             ("[halving]\nrungs = [0.5, 1.5]", "above 0 and below 1"),
             ("[halving]\nrungs = [0.5, 0.5]", "each larger than the one before"),
             ("[halving]\nrungs = [0.5]\nreduction = 1", "key `halving.reduction` wants"),
-            ("[halving]\nrungs = [0.5]\nrung = 1", "did you mean `rungs`?"),
+            ("[halving]\nrungs = [0.5]\nrung = 1", "did you mean `halving.rungs`?"),
             ("[evaluation]\nepisodes = 0", "key `evaluation.episodes` wants"),
             ("[evaluation]\nsteps = 100001", "key `evaluation.steps` wants at most"),
         ] {

@@ -83,7 +83,7 @@ impl<'a> Keys<'a> {
         Err(ConfigError::UnknownKey {
             origin: self.origin.to_owned(),
             key: format!("{}{name}", self.prefix),
-            hint: hint(name, known.iter().copied()),
+            hint: hint(self.prefix, name, known.iter().copied()),
         })
     }
 }

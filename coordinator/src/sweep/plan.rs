@@ -328,7 +328,7 @@ mod tests {
     #[test]
     fn all_configurations_are_checked_and_differ() {
         for (text, words) in [
-            ("[grid]\nalgorithm.gama = [0.9]", "did you mean `gamma`?"),
+            ("[grid]\nalgorithm.gama = [0.9]", "did you mean `algorithm.gamma`?"),
             (
                 "[grid]\nalgorithm.gamma = [0.9, \"x\"]",
                 "trial gamma=x, seed=1: --set algorithm.gamma=",

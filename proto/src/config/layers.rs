@@ -191,7 +191,8 @@ fn conditional_changes(
     for (name, changes) in &tables {
         let key = format!("for.{name}");
         if !known.contains_key(name) {
-            let (origin, hint) = (origin.to_owned(), hint(name, known.keys().map(String::as_str)));
+            let hint = hint("for.", name, known.keys().map(String::as_str));
+            let origin = origin.to_owned();
             return Err(ConfigError::UnknownKey { origin, key, hint });
         }
         if !changes.is_table() {
@@ -220,11 +221,9 @@ fn merge<'a>(
     for (name, value) in overlay {
         let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let Some(slot) = base.get_mut(name) else {
-            return Err(ConfigError::UnknownKey {
-                origin: origin.to_owned(),
-                hint: hint(name, base.keys().map(String::as_str)),
-                key,
-            });
+            let group = key.strip_suffix(name.as_str()).unwrap_or_default();
+            let hint = hint(group, name, base.keys().map(String::as_str));
+            return Err(ConfigError::UnknownKey { origin: origin.to_owned(), key, hint });
         };
         if let (Value::Table(slot), Value::Table(value)) = (&mut *slot, value) {
             merge(slot, value, origin, &key, origins)?;

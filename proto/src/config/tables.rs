@@ -51,13 +51,13 @@ pub(super) fn found(value: &Value) -> String {
     format!("{kind} {value}")
 }
 
-/// The end of a message about an unknown name: the nearest known one, or all of them.
-pub fn hint<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
+/// The end of a message about an unknown name: the nearest known one, as it is typed behind `prefix`, or all of them.
+pub fn hint<'a>(prefix: &str, name: &str, known: impl Iterator<Item = &'a str>) -> String {
     let known: Vec<&str> = known.collect();
     let distances = known.iter().map(|key| (strsim::levenshtein(name, key), key));
     let near = distances.filter(|(distance, _)| *distance <= 2.max(name.len() / 3)).min();
     match near {
-        Some((_, key)) => format!("; did you mean `{key}`?"),
+        Some((_, key)) => format!("; did you mean `{prefix}{key}`?"),
         None => format!("; known here: {}", known.join(", ")),
     }
 }

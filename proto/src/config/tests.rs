@@ -126,7 +126,10 @@ fn changes_for_a_name_that_is_no_task_and_no_algorithm_are_refused() {
         layers.resolve().expect_err("refused").to_string()
     };
     let unknown = error("[for.mapo.network]\nhidden = [9]");
-    assert!(unknown.contains("for.mapo") && unknown.contains("did you mean `mappo`"), "{unknown}");
+    assert!(
+        unknown.contains("for.mapo") && unknown.contains("did you mean `for.mappo`"),
+        "{unknown}"
+    );
     let flat = error("[for]\nippo = 3");
     assert!(flat.contains("for.ippo") && flat.contains("a table of groups"), "{flat}");
 }
@@ -152,7 +155,7 @@ fn values_are_toml_and_bare_words_are_strings() {
 fn errors_name_the_layer_the_key_and_the_cure() {
     let unknown = message(&["algorithm.gama=0.9"]);
     assert!(unknown.contains("--set algorithm.gama=0.9"), "{unknown}");
-    assert!(unknown.contains("did you mean `gamma`"), "{unknown}");
+    assert!(unknown.contains("did you mean `algorithm.gamma`"), "{unknown}");
 
     let wrong = message(&["algorithm.gamma=\"high\""]);
     assert!(wrong.contains("wants a number") && wrong.contains("the string"), "{wrong}");
@@ -176,7 +179,7 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     let small = message(&["algorithm.name=maddpg", "algorithm.maddpg.replay_steps=49"]);
     assert!(small.contains("algorithm.maddpg.replay_steps"), "{small}");
     let unknown = message(&["algorithm.maddpg.noize=1"]);
-    assert!(unknown.contains("did you mean `noise`"), "{unknown}");
+    assert!(unknown.contains("did you mean `algorithm.maddpg.noise`"), "{unknown}");
     let shared = message(&["algorithm.name=ppo", "network.parameter_sharing=all"]);
     assert!(shared.contains("one network that acts for all agents"), "{shared}");
     let name = message(&["algorithm.name=pppo"]);
@@ -241,7 +244,10 @@ fn a_resolved_text_that_is_none_is_told_by_its_key() {
     let count = changed("n_envs = 16", "n_envs = -16");
     assert!(count.contains("`env.n_envs` wants a whole number, not below 0"), "{count}");
     let unknown = changed("gamma =", "gama =");
-    assert!(unknown.contains("unknown key `algorithm.gama`; did you mean `gamma`?"), "{unknown}");
+    assert!(
+        unknown.contains("unknown key `algorithm.gama`; did you mean `algorithm.gamma`?"),
+        "{unknown}"
+    );
     let group = changed("[robot]", "[robots]");
     assert!(group.contains("unknown key `robots`; did you mean `robot`?"), "{group}");
     assert!(refused("[task\n").contains("line 1"));

@@ -52,11 +52,9 @@ fn check(
         let origin = origin_of(&key);
         match (group.get(name), value) {
             (None, _) => {
-                return Err(ConfigError::UnknownKey {
-                    origin,
-                    key,
-                    hint: hint(name, group.keys().map(String::as_str)),
-                });
+                let prefix = key.strip_suffix(name.as_str()).unwrap_or_default();
+                let hint = hint(prefix, name, group.keys().map(String::as_str));
+                return Err(ConfigError::UnknownKey { origin, key, hint });
             }
             (Some(Value::Table(group)), Value::Table(table)) => {
                 check(table, group, complete, path, origin_of)?;
