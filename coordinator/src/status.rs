@@ -413,6 +413,7 @@ fn listed(runs: &[RunStatus], columns: usize) -> String {
 /// Reads what a run left and whether it lives; does not ask it.
 pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let run_dir = store::run_files::run_directory(path)?;
+    store::run_files::check_no_checkpoint(&run_dir, "octopus status")?;
     let config = store::run_files::read_config(&run_dir)?;
     // Looked at before the metrics, which reach every one.
     let store = CheckpointStore::new(run_dir.checkpoints());
@@ -529,6 +530,19 @@ mod tests {
         for line in of_processes.lines().chain(of_runs.lines()) {
             assert!(line.chars().count() <= 80, "{line}");
         }
+    }
+
+    /// It has a configuration as a run has, but `octopus resume` refuses it.
+    #[test]
+    fn a_checkpoint_is_no_stopped_run() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        std::fs::write(RunDir::new(dir.path()).config(), config.to_toml()).expect("writable");
+        assert!(inspect(dir.path()).is_ok());
+        std::fs::write(dir.path().join(store::checkpoint::MANIFEST), "{}").expect("writable");
+        let told = inspect(dir.path()).expect_err("a checkpoint").to_string();
+        assert!(told.contains("is a checkpoint, not a run directory"), "{told}");
+        assert!(told.contains("octopus eval"), "{told}");
     }
 
     #[test]

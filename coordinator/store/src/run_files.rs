@@ -7,6 +7,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use simulator::robot::Robot;
 
+use crate::checkpoint::MANIFEST;
 use crate::regular_files;
 
 /// The run directory at `path`, if it is one.
@@ -25,6 +26,21 @@ pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
         _ => "is no run directory: it has no config.toml",
     };
     let message = format!("{}: {what}; `octopus status` lists the runs", path.display());
+    Err(ExitError::new(ExitCode::RunDirectory, message))
+}
+
+/// Refuses a checkpoint: it has a configuration and a robot as a run has, but no training goes on in it.
+pub fn check_no_checkpoint(run_dir: &RunDir, command: &str) -> Result<(), ExitError> {
+    let dir = run_dir.path();
+    if !dir.join(MANIFEST).is_file() {
+        return Ok(());
+    }
+    let message = format!(
+        "{}: is a checkpoint, not a run directory; `octopus eval {}` measures it, and `{command}` wants the \
+         directory of the run that it comes from",
+        dir.display(),
+        output::quoted(dir)
+    );
     Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
