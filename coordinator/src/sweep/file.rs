@@ -73,6 +73,15 @@ impl SweepFile {
     pub(super) fn read(path: &Path) -> anyhow::Result<Self> {
         let text = regular_files::read_text(path, regular_files::TEXT)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        // One training of what is the default is a slip: the file was not saved, say.
+        let says_nothing = |line: &str| line.is_empty() || line.starts_with('#');
+        if text.lines().map(str::trim).all(says_nothing) {
+            let message = format!(
+                "{}: is empty; a sweep wants [grid], [[trials]] or seeds (`octopus sweep --help`)",
+                path.display()
+            );
+            return Err(ExitError::new(ExitCode::BadInput, message).into());
+        }
         Self::parse(path, text)
     }
 
@@ -292,6 +301,19 @@ mod tests {
     fn shown(configurations: &[Vec<Assignment>]) -> Vec<String> {
         let one = |(key, value): &Assignment| format!("{key}={value}");
         configurations.iter().map(|all| all.iter().map(one).collect::<Vec<_>>().join(" ")).collect()
+    }
+
+    #[test]
+    fn a_file_that_says_nothing_is_refused() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("x.toml");
+        for text in ["", "\n# [grid]\n"] {
+            std::fs::write(&path, text).expect("written");
+            let told = SweepFile::read(&path).expect_err("nothing is tried").to_string();
+            assert!(told.contains("x.toml: is empty; a sweep wants [grid]"), "{told}");
+        }
+        std::fs::write(&path, "seeds = [1]").expect("written");
+        assert!(SweepFile::read(&path).is_ok());
     }
 
     #[test]

@@ -8,6 +8,20 @@ use std::time::{Duration, Instant};
 use super::check::Check;
 use crate::environment;
 
+/// How long is waited for the learner's answer.
+#[derive(Debug, Clone, Copy)]
+struct Patience {
+    /// So long nothing is said.
+    silent: Duration,
+    /// Then it is given up.
+    whole: Duration,
+}
+
+/// An answer takes a second once libtorch is in memory. Before, its libraries, some GB with CUDA, are read from the disk, page by page:
+/// at 10 MB/s that takes minutes.
+const PATIENCE: Patience =
+    Patience { silent: Duration::from_secs(5), whole: Duration::from_mins(5) };
+
 /// Whether the learner starts: it links libtorch, so the loader finds out what is missing.
 pub fn libtorch(learner: &Path) -> Check {
     const NAME: &str = "libtorch";
@@ -90,7 +104,16 @@ fn gpus(driver: &Path) -> Vec<String> {
 
 /// What the learner prints if it is started with `args`, or why it prints nothing, and after a semicolon what helps if that is known.
 fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
-    const PATIENCE: Duration = Duration::from_mins(1);
+    answer_within(PATIENCE, learner, args, &mut output::note)
+}
+
+/// The same with another patience; `wait` is told once what is waited for, if that takes long.
+fn answer_within(
+    Patience { silent, whole }: Patience,
+    learner: &Path,
+    args: &[&str],
+    wait: &mut dyn FnMut(&str),
+) -> Result<String, String> {
     let mut command = Command::new(learner);
     environment::clean(&mut command);
     let mut child = command
@@ -100,11 +123,20 @@ fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
         .stderr(Stdio::piped())
         .spawn()
         .map_err(|error| format!("{} does not start: {error}", learner.display()))?;
-    let deadline = Instant::now() + PATIENCE;
+    let begun = Instant::now();
+    let mut told = false;
     let status = loop {
         match child.try_wait() {
             Ok(Some(status)) => break status,
-            Ok(None) if Instant::now() < deadline => {
+            Ok(None) if begun.elapsed() < whole => {
+                if !told && begun.elapsed() >= silent {
+                    told = true;
+                    wait(&format!(
+                        "note: waiting for {} {}: libtorch is read from the disk the first time",
+                        learner.display(),
+                        args.join(" ")
+                    ));
+                }
                 std::thread::sleep(Duration::from_millis(2));
             }
             _ => {
@@ -112,10 +144,11 @@ fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(format!(
-                    "{} {} does not answer within {} s; this machine may be busy, try again later",
+                    "{} {} does not answer within {} s; libtorch is read from the disk the first time and is in \
+                     memory then: try again now, or later if this machine is busy",
                     learner.display(),
                     args.join(" "),
-                    PATIENCE.as_secs()
+                    whole.as_secs()
                 ));
             }
         }
@@ -146,6 +179,27 @@ mod tests {
         assert!(missing.sentence().contains("make setup"), "{}", missing.sentence());
         let failing = libtorch(Path::new("/bin/false"));
         assert_eq!(failing.verdict, Verdict::Failure);
+    }
+
+    #[test]
+    fn what_is_waited_for_is_said_once_and_what_helps_in_the_end() {
+        let mut told = Vec::new();
+        let mut ask = |silent, whole, seconds| {
+            let patience = Patience {
+                silent: Duration::from_millis(silent),
+                whole: Duration::from_millis(whole),
+            };
+            answer_within(patience, Path::new("/bin/sleep"), &[seconds], &mut |what| {
+                told.push(what.to_owned());
+            })
+        };
+        assert_eq!(ask(60_000, 60_000, "0"), Ok(String::new()));
+        let found = ask(20, 200, "60").expect_err("it sleeps");
+        let (found, cure) = with_cure(&found, "");
+        assert!(found.contains("/bin/sleep 60 does not answer within"), "{found}");
+        assert!(cure.contains("libtorch") && cure.contains("try again now"), "{cure}");
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(told[0].contains("waiting for /bin/sleep 60: libtorch"), "{told:?}");
     }
 
     #[test]
