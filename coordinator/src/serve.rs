@@ -252,7 +252,7 @@ fn store(path: &Path, create: bool) -> anyhow::Result<CheckpointStore> {
     if !path.exists() && !create {
         return Err(failure("does not exist; --create makes it").into());
     }
-    let store = store_to_fill("--store", path, None)?;
+    let store = store_to_fill("--store", path, path, None)?;
     std::fs::create_dir_all(store.root())
         .map_err(|error| failure(&format!("cannot be made: {error}")))?;
     Ok(store)

@@ -134,6 +134,8 @@ fn what_is_wrong_is_refused_and_leaves_nothing() {
         (&good, &mine, &[], 5, "--force writes over it"),
         (&good, &inside, &[], 5, "which is a checkpoint"),
         (&good, &at("no/such/a.gif"), &["--steps=1", "--size=32x32"], 1, "cannot be written"),
+        // Before the policy is looked for, let alone a picture drawn.
+        (&at("none"), "/proc/a.gif", &[], 1, "--out /proc/a.gif: cannot be written"),
     ];
     for (policy, out, more, code, said) in cases {
         let output = octopus(&[&["film", policy, "--out", out], *more].concat());

@@ -5,7 +5,7 @@ use std::path::Path;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CATALOGUE, CheckpointError, CheckpointStore, Entry, store_to_be};
-use store::outputs;
+use store::{files, outputs};
 
 /// Gives what was refused, and changed nothing, an exit code of its own: nothing is damaged.
 pub(crate) fn refused(code: ExitCode) -> impl Fn(CheckpointError) -> anyhow::Error {
@@ -15,16 +15,25 @@ pub(crate) fn refused(code: ExitCode) -> impl Fn(CheckpointError) -> anyhow::Err
     }
 }
 
-/// The store at `path` that a checkpoint is about to be put into, named by `flag`. A directory that holds other
+/// The store at `path` that a checkpoint is about to be put into, named by `flag`, which is given `named`. A directory that holds other
 /// things and no checkpoint becomes a store by `force` only, if that can be given; and none does inside a run or a
 /// checkpoint.
 pub(crate) fn store_to_fill(
     flag: &str,
+    named: &Path,
     path: &Path,
     force: Option<bool>,
 ) -> anyhow::Result<CheckpointStore> {
     let store = store_to_be(path)?;
     let root = store.root();
+    // What is only served may be a store that nobody changes.
+    if force.is_some() {
+        files::try_directory(root).map_err(|error| {
+            let (named, root) = (named.display(), root.display());
+            let message = format!("{flag} {named}: cannot be written: {root}: {error}");
+            ExitError::new(ExitCode::Failure, message)
+        })?;
+    }
     let is_store = root.join(CATALOGUE).exists() || !store.survey()?.is_empty();
     if is_store || root != path || is_of_a_run(root) {
         return Ok(store);
@@ -38,10 +47,11 @@ pub(crate) fn store_to_fill(
     // What a store hides does not make it somebody's.
     let Some(other) = names.filter(|name| !name.starts_with('.')).min() else { return Ok(store) };
     let forced = if force.is_some() { ", or use --force" } else { "" };
+    let holds = if named == path { String::new() } else { format!(" {}", path.display()) };
     let message = format!(
-        "{flag} {}: holds {other:?} and no checkpoint; name a directory of checkpoints or a new one\
+        "{flag} {}:{holds} holds {other:?} and no checkpoint; name a directory of checkpoints or a new one\
          {forced}",
-        path.display()
+        named.display()
     );
     Err(ExitError::new(ExitCode::RunDirectory, message).into())
 }

@@ -28,7 +28,7 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
         let message = format!("--arm: arm {} is given twice; give every arm once", arm + 1);
         return Err(usage(message).into());
     }
-    let store = store_to_fill("--out", parent, Some(args.force))?;
+    let store = store_to_fill("--out", out, parent, Some(args.force))?;
     let mut parts = Vec::new();
     for from in &args.arms {
         parts.push(Part { arms: from.arms.clone(), checkpoint: from.checkpoint.open()? });

@@ -21,7 +21,7 @@ use crate::checkpoints::options::{ExportArgs, ImportArgs};
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
     from_bucket::refuse(&args.store)?;
-    let store = store_to_fill("--store", &args.store, Some(args.force))?;
+    let store = store_to_fill("--store", &args.store, &args.store, Some(args.force))?;
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     let file = if args.archive == Path::new("-") {

@@ -27,6 +27,22 @@ pub fn replace_output(path: &Path, content: &[u8]) -> Result<(), ExitError> {
     written.map_err(|error| failure(ExitCode::Failure, path, &error))
 }
 
+/// Whether [`replace_output`] can make a file at `path`; nothing stays of the trial.
+pub(crate) fn try_place(path: &Path) -> std::io::Result<()> {
+    let temporary = temporary(path);
+    File::create(&temporary)?;
+    std::fs::remove_file(&temporary)
+}
+
+/// Whether files can be made in `directory`, or in what is there above it where it is still to be made.
+pub fn try_directory(directory: &Path) -> std::io::Result<()> {
+    let directory = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
+    match directory.ancestors().find(|above| above.is_dir()) {
+        Some(there) => try_place(&there.join("trial")),
+        None => Ok(()),
+    }
+}
+
 fn failure(code: ExitCode, path: &Path, error: &std::io::Error) -> ExitError {
     ExitError::new(code, format!("{}: cannot be written: {error}", path.display()))
 }

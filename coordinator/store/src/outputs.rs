@@ -12,6 +12,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 
 use crate::checkpoint::MANIFEST;
+use crate::files;
 
 /// A file that a command is asked to write.
 #[derive(Debug, Clone, Copy)]
@@ -67,8 +68,7 @@ impl Output<'_> {
                     let message = format!("belongs to {}, which is read", input.display());
                     Err(refused(format!("{flag} {shown}: {message}; name another file")))
                 }
-                (None, _) => self.check_parent(),
-                _ => Ok(()),
+                _ => self.check_place(),
             };
         }
         if let Some((owner, kind)) = owner(path) {
@@ -82,18 +82,22 @@ impl Output<'_> {
                 "{flag} {shown}: is there already{}; --force writes over it",
                 if mark.is_empty() { "" } else { " and was not made by this command" }
             ))),
-            Some(_) => Ok(()),
-            None => self.check_parent(),
+            _ => self.check_place(),
         }
     }
 
-    /// Refuses a file in a directory that is not there, as writing it would.
-    fn check_parent(&self) -> Result<(), ExitError> {
+    /// Refuses a file in a directory that is not there or takes none, as writing it would, but before the work.
+    fn check_place(&self) -> Result<(), ExitError> {
         let parent = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
-        let Some(parent) = parent.filter(|parent| !parent.is_dir()) else { return Ok(()) };
+        let reason = match parent.filter(|parent| !parent.is_dir()) {
+            Some(parent) => format!("{} is no directory", parent.display()),
+            None => match files::try_place(self.path) {
+                Ok(()) => return Ok(()),
+                Err(error) => error.to_string(),
+            },
+        };
         let (flag, shown) = (self.flag, self.path.display());
-        let message =
-            format!("{flag} {shown}: cannot be written: {} is no directory", parent.display());
+        let message = format!("{flag} {shown}: cannot be written: {reason}");
         Err(ExitError::new(ExitCode::Failure, message))
     }
 }
@@ -336,6 +340,16 @@ mod tests {
             assert!(message.contains("cannot be written") && message.contains("is no directory"));
         }
         assert!(check(&place.path().join("none/new.svg"), false, &[]).is_err());
+        // Nobody can make a file there, not even root.
+        for force in [false, true] {
+            let (code, message) = check(Path::new("/proc/new.svg"), force, &[]).expect_err("none");
+            assert_eq!(code, ExitCode::Failure);
+            assert!(message.contains("--out /proc/new.svg: cannot be written: "), "{message}");
+        }
+        let all = || std::fs::read_dir(place.path()).expect("readable").count();
+        let before = all();
+        assert_eq!(check(&place.path().join("new.svg"), false, &[]), Ok(()));
+        assert_eq!(all(), before, "nothing is left of the trial");
         assert_eq!(check(Path::new("new.svg"), false, &[]), Ok(()), "here");
     }
 
