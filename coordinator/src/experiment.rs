@@ -299,7 +299,8 @@ pub struct EpisodeArgs {
     /// The states, as `octopus simulate` writes them.
     #[arg(long, value_name = "FILE.csv")]
     pub out: Option<PathBuf>,
-    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    /// Write over files of another kind, too, and into a run's directory; what is read stays. A file of
+    /// this command's own kind is replaced without it.
     #[arg(long)]
     pub force: bool,
     /// Print what came of it as JSON.

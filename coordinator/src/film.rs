@@ -42,7 +42,8 @@ pub struct FilmArgs {
     /// The film: a .gif, .png, .apng or .webp.
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    /// Write over files of another kind, too, and into a run's directory; what is read stays. A file of
+    /// this command's own kind is replaced without it.
     #[arg(long)]
     pub force: bool,
     /// Another robot than the policy's own: `paper`, `release`, or a robot file.

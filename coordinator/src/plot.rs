@@ -42,7 +42,8 @@ pub struct PlotArgs {
     /// Keep the curves in one small file, too, which can be given in the place of the runs.
     #[arg(long, value_name = "FILE")]
     pub save: Option<PathBuf>,
-    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    /// Write over files of another kind, too, and into a run's directory; what is read stays. A file of
+    /// this command's own kind is replaced without it.
     #[arg(long)]
     pub force: bool,
     /// Print the curves as JSON.

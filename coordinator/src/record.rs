@@ -77,7 +77,8 @@ pub struct RecordArgs {
     /// The same as columns, with a header.
     #[arg(long, value_name = "FILE.csv")]
     pub csv: Option<PathBuf>,
-    /// Write over files that are there already, and into a run's directory; what is read stays.
+    /// Write over files of another kind, too, and into a run's directory; what is read stays. A file of
+    /// this command's own kind is replaced without it.
     #[arg(long)]
     pub force: bool,
     /// Seed of the goals.

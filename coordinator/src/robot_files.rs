@@ -16,7 +16,8 @@ pub struct RobotFileArgs {
     /// The model file [default: standard output].
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    /// Write over files of another kind, too, and into a run's directory; what is read stays. A file of
+    /// this command's own kind is replaced without it.
     #[arg(long)]
     pub force: bool,
 }

@@ -49,7 +49,8 @@ pub struct SimulateArgs {
     /// The trajectory; `-` writes standard output.
     #[arg(long, value_name = "OUT.csv")]
     pub out: PathBuf,
-    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    /// Write over files of another kind, too, and into a run's directory; what is read stays. A file of
+    /// this command's own kind is replaced without it.
     #[arg(long)]
     pub force: bool,
     /// Arithmetic.

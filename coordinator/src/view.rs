@@ -62,7 +62,7 @@ pub struct ViewArgs {
     /// Write one file that shows it without a server.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Overwrite the file if it exists.
+    /// Write over a file of another kind, too; a page that this command made is replaced without it.
     #[arg(long, requires = "out")]
     pub force: bool,
     /// A policy of the episode in the file, once for each of them, in their order.
