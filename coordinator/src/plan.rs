@@ -36,7 +36,7 @@ a change of the present pose instead: a shift along the axes of --frame and a tu
 
 Candidates are played in the simulator, contacts included: every set of joint angles that the \
 arm has for the pose, straight or with a detour, the other arms at rest or moving, which moves \
-the base. The first that arrives and touches nothing is the plan. Commands are joint rates \
+the base. 32 are played at a time; of those that arrive and touch nothing the one that arrives first is the plan. Commands are joint rates \
 (rad/s), a row a control step of 0.4 s: what `octopus simulate` reads, which ends in the same \
 place. Whatever the machine, the same question has the same answer, if it is found in time. \
 Contacts are looked for in the motion itself, and by playing it again without them; distances \
@@ -98,7 +98,8 @@ pub struct PlanArgs {
     /// The motion with goals and contacts for robot viewers, as `octopus record` writes it.
     #[arg(long, value_name = "FILE.mcap")]
     pub recording: Option<PathBuf>,
-    /// Write over files that are there already, and into a run's directory; what is read stays.
+    /// Write over a plan that is there already, over files of another kind, and into a run's directory; what is
+    /// read stays. Trajectory, picture and recording replace one of their kind without it.
     #[arg(long)]
     pub force: bool,
     /// Print what was found as JSON.

@@ -113,6 +113,8 @@ fn what_cannot_be_reached_ends_with_a_reason_and_no_file() {
     let plan = path(dir.path(), "plan.csv");
     for (goal, reason) in [
         ("--goal=1=0.3,4.2,4.3,0,0,0", "no joint angles bring hand 1"),
+        // None was played.
+        ("--goal=1=0.3,4.2,4.3,0,0,0", ". At the start it misses hand 1 by "),
         // In the middle of the base.
         ("--goal=1=0,0,4,0,0,0", "no plan within"),
     ] {
@@ -142,6 +144,7 @@ fn bad_questions_are_refused() {
         (&["plan", goal, "--out", &bad, "--state", &bad], 2, "is what --state reads"),
         (&["plan", "--held-out=3", goal], 2, "cannot be used with"),
         (&["plan", goal, "--json", "--trajectory=/no/such/x.csv"], 1, "cannot be written"),
+        (&["plan", goal, "--policy=none", "--out=/proc/x.csv"], 1, "--out /proc/x.csv: cannot be"),
     ] {
         let output = octopus(flags);
         assert_eq!(output.status.code(), Some(code), "{flags:?}: {}", stderr(&output));

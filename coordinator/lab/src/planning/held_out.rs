@@ -31,8 +31,8 @@ pub struct HeldOut {
     pub goals: usize,
     /// Of these, how many have a plan.
     pub planned: usize,
-    /// How many were missed because of kinematics, reach, contacts, motion.
-    pub missed: [usize; 4],
+    /// How many were missed, by what was in the way.
+    pub missed: Missed,
     /// Episode and arm of the missed, both counted from 0.
     pub missed_goals: Vec<(u32, usize)>,
     /// Half of the plans were found within (s); none where no goal can be reached.
@@ -45,6 +45,19 @@ pub struct HeldOut {
     pub arrived_s_p50: Option<f64>,
     /// Candidates, in the mean.
     pub candidates_mean: Option<f64>,
+}
+
+/// Goals without a plan, each counted where its answer says `obstacle`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Missed {
+    /// No joint angles put the hand there.
+    pub kinematics: usize,
+    /// The arm does not reach it from where the base is.
+    pub reach: usize,
+    /// All that arrive touch something.
+    pub contact: usize,
+    /// Joint angles are known, but nothing arrives.
+    pub motion: usize,
 }
 
 /// Plans for the reachable goals of `episodes` evaluation episodes.
@@ -72,7 +85,7 @@ pub fn held_out(
         })
         .collect();
     progress.begin("plans", goals.len() as u64);
-    let (mut planned, mut missed, mut missed_goals) = (0, [0; 4], Vec::new());
+    let (mut planned, mut missed, mut missed_goals) = (0, Missed::default(), Vec::new());
     let (mut seconds, mut arrived, mut candidates) = (Vec::new(), Vec::new(), 0);
     for &(env, arm) in &goals {
         let purpose = Purpose::EvaluationGoal;
@@ -92,12 +105,12 @@ pub fn held_out(
             }
             Some(obstacle) => {
                 missed_goals.push((env, arm));
-                missed[match obstacle {
-                    Obstacle::Kinematics { .. } => 0,
-                    Obstacle::Reach { .. } => 1,
-                    Obstacle::Contact => 2,
-                    Obstacle::Motion => 3,
-                }] += 1;
+                *match obstacle {
+                    Obstacle::Kinematics { .. } => &mut missed.kinematics,
+                    Obstacle::Reach { .. } => &mut missed.reach,
+                    Obstacle::Contact => &mut missed.contact,
+                    Obstacle::Motion => &mut missed.motion,
+                } += 1;
             }
         }
         progress.advance();
@@ -139,7 +152,7 @@ impl HeldOut {
         };
         let seconds = |value| or_dash(value, 2, " s");
         let share = 100.0 * self.planned as f64 / self.goals.max(1) as f64;
-        let [kinematics, reach, contact, motion] = self.missed;
+        let Missed { kinematics, reach, contact, motion } = self.missed;
         let rows = [
             ["goals that can be reached".to_owned(), output::grouped(self.goals as u64)],
             [
@@ -225,8 +238,15 @@ position = [0.0, 0.0, 0.0]
         let text = found.table();
         assert!(text.contains("no goal of 1 episode can be reached"), "{text}");
         // Goals without a plan have no time of arrival.
-        let unplanned =
-            HeldOut { goals: 1, missed: [1, 0, 0, 0], planning_s_p50: Some(0.25), ..found };
+        let unplanned = HeldOut {
+            goals: 1,
+            missed: Missed { kinematics: 1, ..found.missed },
+            planning_s_p50: Some(0.25),
+            ..found
+        };
+        let json = serde_json::to_value(&unplanned).expect("plain data");
+        let named = serde_json::json!({ "kinematics": 1, "reach": 0, "contact": 0, "motion": 0 });
+        assert_eq!(json["missed"], named);
         let text = unplanned.table();
         assert!(text.contains("median 0.25 s") && !text.contains("NaN"), "{text}");
     }

@@ -176,10 +176,12 @@ pub fn sentence(question: &Question, answer: &Answer) -> Option<String> {
                 .to_owned()
         }
     };
-    Some(format!(
-        "no plan within {within}: {reason}. The nearest of {} candidates misses {misses}",
-        grouped(answer.plan.tried as u64)
-    ))
+    let nearest = match answer.plan.tried {
+        0 => "At the start it misses".to_owned(),
+        1 => "The one candidate misses".to_owned(),
+        tried => format!("The nearest of {} candidates misses", grouped(tried as u64)),
+    };
+    Some(format!("no plan within {within}: {reason}. {nearest} {misses}"))
 }
 
 #[cfg(test)]
