@@ -37,9 +37,13 @@ pub fn table_within<const N: usize>(
         let cells = rows.iter().map(|row| width(&row[column]));
         cells.chain([width(header[column])]).max().unwrap_or(0)
     });
+    let words: [usize; N] = std::array::from_fn(|column| {
+        let cells = rows.iter().map(|row| longest_word(&row[column]));
+        cells.chain([longest_word(header[column])]).max().unwrap_or(0)
+    });
     let bands = bands(&widths, columns);
     let bands = bands.iter().map(|band| {
-        let fitted = fitted(band, &widths, columns);
+        let fitted = fitted(band, &widths, &words, columns);
         let cells = |row: &[String]| band.iter().map(|at| row[*at].clone()).collect::<Vec<_>>();
         let header = header.map(str::to_owned);
         draw(&cells(&header), rows.iter().map(|row| cells(row)), band, &fitted)
@@ -49,6 +53,10 @@ pub fn table_within<const N: usize>(
 
 fn width(text: &str) -> usize {
     text.lines().map(str::width).max().unwrap_or(0)
+}
+
+fn longest_word(text: &str) -> usize {
+    text.split_whitespace().map(str::width).max().unwrap_or(0)
 }
 
 /// How many characters columns take beside each other.
@@ -80,14 +88,19 @@ fn bands(widths: &[usize], columns: usize) -> Vec<Vec<usize>> {
     bands
 }
 
-/// Widths at which the columns of a band fit: the widest give way first, and none that is narrow.
-fn fitted(band: &[usize], widths: &[usize], columns: usize) -> Vec<usize> {
+/// Widths at which the columns of a band fit: the widest give way first, and narrow ones only to keep words whole, such as the
+/// name of a checkpoint. Words are broken where it does not fit otherwise.
+fn fitted(band: &[usize], widths: &[usize], words: &[usize], columns: usize) -> Vec<usize> {
     let mut fitted: Vec<usize> = band.iter().map(|at| widths[*at]).collect();
-    while total(fitted.iter().copied()) > columns {
-        let widest = fitted.iter_mut().filter(|width| **width > NARROW).max_by_key(|width| **width);
-        match widest {
-            Some(width) => *width -= 1,
-            None => break,
+    let words: Vec<usize> = band.iter().map(|at| words[*at]).collect();
+    let wide_enough = words.iter().map(|word| NARROW.max(*word)).collect();
+    for least in [wide_enough, words, vec![NARROW; band.len()]] {
+        while total(fitted.iter().copied()) > columns {
+            let wide = fitted.iter_mut().zip(&least).filter(|(width, least)| **width > **least);
+            match wide.max_by_key(|(width, _)| **width) {
+                Some((width, _)) => *width -= 1,
+                None => break,
+            }
         }
     }
     fitted
@@ -163,6 +176,18 @@ mod tests {
             "{text}"
         );
         assert!(row.iter().all(|cell| text.contains(cell)), "{text}");
+    }
+
+    /// They are typed again, or picked up by a double click.
+    #[test]
+    fn names_stay_whole_where_words_beside_them_can_be_wrapped() {
+        let header = ["name", "iteration", "labels", "age"];
+        let row = ["iteration-00000100", "100", "pinned, best, latest", "3 min"];
+        let text = table_within(48, header, rows(&[row]));
+        assert!(widest(&text) <= 48 && !text.contains("\n\n"), "{text}");
+        for word in row.iter().flat_map(|cell| cell.split(' ')) {
+            assert!(text.contains(word), "{word} is not whole in\n{text}");
+        }
     }
 
     #[test]
