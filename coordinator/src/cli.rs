@@ -143,6 +143,18 @@ mod tests {
     }
 
     #[test]
+    fn what_people_try_first_is_taken_or_answered() {
+        let parse = |line: &str| Cli::try_parse_from(line.split(' '));
+        let Ok(Cli { command: Command::Train(args) }) = parse("octopus train --iters 4") else {
+            panic!("--iters is --iterations")
+        };
+        assert_eq!(args.limits.iterations, Some(4));
+        let error = parse("octopus resume runs/x --seed 3").expect_err("refused").to_string();
+        assert!(error.contains("`octopus train --seed 3` begins another one"), "{error}");
+        assert!(!error.contains("-- --seed"), "{error}");
+    }
+
+    #[test]
     fn what_is_watched_may_stand_before_or_after_the_flag() {
         let parse = |line: &str| {
             let Command::Status(args) = Cli::try_parse_from(line.split(' ')).expect(line).command

@@ -18,7 +18,7 @@ use run::start::session::{Ended, Start, run_session};
 use run::supervisor::Programs;
 use run::{errors, precision, report, resume_point};
 use store::budgets::{self, Budgets};
-use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
+use store::checkpoint::{Checkpoint, CheckpointStore, Name};
 use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
@@ -56,6 +56,9 @@ pub struct ResumeArgs {
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
     #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers_if_any)]
     pub workers: Option<u64>,
+    /// Refused: a run keeps its seed.
+    #[arg(long, hide = true, value_name = "S", allow_hyphen_values = true, value_parser = no_seed)]
+    pub seed: Option<String>,
     /// When to stop.
     #[command(flatten)]
     pub limits: Limits,
@@ -82,6 +85,12 @@ pub(crate) const REMEDY: Remedy = Remedy {
     less: Some("lower run.checkpoints_kept in its config.toml"),
     flags: &["--workers"],
 };
+
+/// Whoever asks for a seed wants another training.
+fn no_seed(seed: &str) -> Result<String, String> {
+    let seed = output::quoted(seed);
+    Err(format!("a run keeps its seed; `octopus train --seed {seed}` begins another one"))
+}
 
 /// Resumes, evaluates and says where everything is.
 pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
@@ -153,7 +162,7 @@ fn restored(args: &ResumeArgs) -> anyhow::Result<Option<PathBuf>> {
 }
 
 fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
-    check_no_checkpoint(&run_dir)?;
+    store::run_files::check_no_checkpoint(&run_dir, "octopus resume")?;
     train::check_service(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
@@ -282,21 +291,6 @@ fn decision(precision: Precision, recorded: bool) -> String {
              not recorded, so that its digests may be others than those of before"
         )
     }
-}
-
-/// Refuses a checkpoint: it has a configuration and a robot as a run has, and would become one.
-fn check_no_checkpoint(run_dir: &RunDir) -> Result<(), ExitError> {
-    let dir = run_dir.path();
-    if !dir.join(MANIFEST).is_file() {
-        return Ok(());
-    }
-    let message = format!(
-        "{}: is a checkpoint, not a run directory; `octopus eval {}` measures it, and \
-         `octopus resume` wants the directory of the run that it comes from",
-        dir.display(),
-        output::quoted(dir)
-    );
-    Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
 /// The newest checkpoint that is the run's own; none if it starts anew.

@@ -14,7 +14,7 @@ use crate::values::{Listen, duration, listen, positive};
 #[group(multiple = false)]
 pub struct Limits {
     /// Stop after this many iterations.
-    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = positive, help_heading = "Limits")]
+    #[arg(long, alias = "iters", value_name = "N", allow_hyphen_values = true, value_parser = positive, help_heading = "Limits")]
     pub iterations: Option<u64>,
     /// Stop after this many env-steps, rounded up to whole iterations: 2000000, 2e6.
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = positive, help_heading = "Limits")]
