@@ -28,7 +28,12 @@ fn train(dir: &Path, more: &[&str], code: i32, words: &[&str]) {
 fn configurations_that_cannot_be() {
     let dir = tempfile::tempdir().expect("tempdir");
     let at = dir.path();
-    train(at, &["--set=algorithm.gama=0.9"], 3, &["algorithm.gama", "did you mean `gamma`"]);
+    train(
+        at,
+        &["--set=algorithm.gama=0.9"],
+        3,
+        &["algorithm.gama", "did you mean `algorithm.gamma`"],
+    );
     train(at, &["--set=algorithm.gamma=high"], 3, &["algorithm.gamma", "a number such as"]);
     train(at, &["--set=network.hidden=[64,-1]"], 3, &["network.hidden", "none below 0"]);
     train(at, &["--set=network.hidden=[]"], 3, &["network.hidden", "1 to 16 widths"]);
@@ -44,7 +49,7 @@ fn configurations_that_cannot_be() {
     let file = at.join("my.toml");
     std::fs::write(&file, "[network]\nhiden = [64]\n").expect("write");
     let flag = format!("--config={}", file.display());
-    train(at, &[&flag], 3, &["my.toml", "network.hiden", "did you mean `hidden`"]);
+    train(at, &[&flag], 3, &["my.toml", "network.hiden", "did you mean `network.hidden`"]);
     assert!(!at.join("run").exists(), "a refused run leaves no directory");
 }
 
@@ -135,7 +140,9 @@ fn a_checkpoint_is_not_resumed_as_if_it_were_a_run() {
     }
     let before = files();
     let path = copy.path().to_str().expect("UTF-8");
-    refused(&["resume", path], 5, &[path, "is a checkpoint", "octopus eval"]);
+    for command in ["resume", "status"] {
+        refused(&[command, path], 5, &[path, "is a checkpoint", "octopus eval"]);
+    }
     assert_eq!(files(), before);
 }
 
@@ -170,6 +177,12 @@ fn a_checkpoint_truncated_or_edited_by_hand() {
     refused(&["eval", target, "--episodes=1"], 5, &["state.safetensors", "BLAKE3"]);
     std::fs::write(newest.join("manifest.json"), "{}").expect("edit");
     refused(&["eval", target, "--episodes=1"], 5, &["manifest.json"]);
+    std::fs::write(newest.join("manifest.json"), "").expect("edit");
+    let cure = [
+        "manifest.json: is empty; the checkpoint is damaged: copy it again",
+        "octopus checkpoints list",
+    ];
+    refused(&["eval", target, "--episodes=1"], 5, &cure);
 }
 
 #[test]
@@ -251,6 +264,24 @@ fn robots_that_are_unfit_at_home() {
         let args = ["experiment", experiment, "--policies", policies, option, "1,1e30"];
         refused(&args, 3, &[&format!("robot paper with {option} 1e30: "), "expected"]);
     }
+}
+
+#[test]
+fn what_is_named_in_the_place_of_something_else_is_said_to_be_what_it_is() {
+    let policies = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/policies");
+    let file = format!("{policies}/trajectory/policy.safetensors");
+    let dir = format!("name its directory, {policies}/trajectory");
+    refused(&["eval", &file], 5, &["is a file of a checkpoint", &dir]);
+    let example = format!("name one of them, such as {policies}/");
+    refused(&["eval", policies], 5, &["holds no checkpoint of a run's own", &example]);
+    let place = tempfile::tempdir().expect("tempdir");
+    let at = |name: &str| place.path().join(name).display().to_string();
+    std::fs::write(at("x.urdf"), "<?xml version=\"1.0\"?><robot name=\"x\"/>").expect("written");
+    refused(&["robot", "check", &at("x.urdf")], 3, &["is a URDF; `octopus robot import "]);
+    std::fs::write(at("empty.toml"), "").expect("written");
+    refused(&["robot", "check", &at("empty.toml")], 3, &["empty.toml: is empty"]);
+    refused(&["robot", "import", &at("empty.toml")], 3, &["empty.toml: is empty"]);
+    refused(&["sweep", &at("empty.toml"), "--dry-run"], 3, &["is empty; a sweep wants"]);
 }
 
 #[test]

@@ -513,6 +513,14 @@ fn arms_that_do_not_go_together_are_not_put_together() {
     );
 }
 
+/// Its parent is there and holds other things, but nobody can make a file in it.
+#[test]
+fn a_place_that_cannot_be_written_is_named_as_it_was_given() {
+    let arms = concat!("1,2,3,4=", env!("CARGO_MANIFEST_DIR"), "/../deploy/policies/trajectory");
+    let compose = ["compose", "--arm", arms, "--out", "/proc/mixed"];
+    refused(&compose, 1, &["--out /proc/mixed: cannot be written: /proc: "]);
+}
+
 #[test]
 fn damage_is_found_named_and_stepped_over() {
     let (_run, dir) = run(&[]);
@@ -524,7 +532,19 @@ fn damage_is_found_named_and_stepped_over() {
     let shown = checkpoints(&["show", &format!("{dir}:6"), "--json"], 5);
     let shown: Value = serde_json::from_slice(&shown.stdout).expect("JSON");
     assert_eq!(shown["problems"].as_array().map(Vec::len), Some(1), "{shown}");
-    refused(&["verify", &format!("{dir}:6")], 5, &["the checkpoint is damaged"]);
+    let cure = ["copy it again, or take another one (`octopus checkpoints list"];
+    refused(
+        &["verify", &format!("{dir}:6")],
+        5,
+        &[&["the checkpoint is damaged"], &cure[..]].concat(),
+    );
+    let eval = octopus(&["eval", &format!("{dir}:6")]);
+    assert_eq!(eval.status.code(), Some(5));
+    assert!(
+        stderr(&eval).contains("BLAKE3") && stderr(&eval).contains(cure[0]),
+        "{}",
+        stderr(&eval)
+    );
     let found = checkpoints(&["verify", &dir, "--json"], 5);
     let found: Value = serde_json::from_slice(&found.stdout).expect("JSON");
     let problems = found[2]["problems"][0].as_str().expect("a problem");

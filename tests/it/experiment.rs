@@ -316,7 +316,9 @@ fn experiments_that_cannot_be() {
     std::fs::rename(format!("{dir}/trajectory"), format!("{dir}/elsewhere")).expect("rename");
     let few = ["--episodes=1", "--steps=2"];
     assert!(experiment(&[&["precision"], &all[..], &few].concat()).starts_with("reorientation\n"));
-    refused(&[&["reassembly"], &all[..]].concat(), 5, &["trajectory"]);
+    let wanted = ["--policies", "holds no `trajectory`", "`reorientation`, each", "--trajectory"];
+    refused(&[&["reassembly"], &all[..]].concat(), 5, &wanted);
+    refused(&["precision", "--policies=none"], 5, &["--policies none: is no directory"]);
 }
 
 #[test]

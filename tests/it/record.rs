@@ -42,7 +42,10 @@ fn a_recording_is_read_by_others_and_agrees_with_the_robots_description() {
     }
     let policy = repository().join("deploy/policies/trajectory").display().to_string();
     let csv = at("trajectory.csv");
+    let whole = std::fs::read(at("trajectory.mcap")).expect("recorded");
+    std::fs::write(at("cut.mcap"), &whole[..whole.len() / 2]).expect("written");
     for (args, code, said) in [
+        (vec!["replay", &at("cut.mcap")], 3, "is cut off or damaged"),
         (vec!["record", &policy, "--out", &csv], 5, "is there already"),
         (vec!["record", &policy, "--out", &at("x"), "--csv", &at("x")], 2, "is what --out writes"),
         (vec!["record", &policy, "--out", &at("x"), "--steps", "0"], 2, "whole number"),

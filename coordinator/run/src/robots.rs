@@ -24,7 +24,26 @@ pub fn load_robot(name: &str) -> anyhow::Result<Robot> {
         );
         ExitError::new(ExitCode::BadInput, message)
     })?;
+    check_is_toml(&text, path)?;
     Ok(Robot::from_toml(&text, path)?)
+}
+
+/// Refuses what is another file than that of a robot, where that can be told, and says what to do with it.
+fn check_is_toml(text: &str, path: &Path) -> Result<(), ExitError> {
+    let text = text.trim_start();
+    let what = if text.is_empty() {
+        "is empty; give a robot file (TOML), as `octopus robot import` makes of a URDF".to_owned()
+    } else if text.starts_with('<') && text.contains("<robot") {
+        let urdf = output::quoted(path);
+        format!(
+            "is a URDF; `octopus robot import {urdf} --out ROBOT.toml` makes a robot file of it"
+        )
+    } else if text.starts_with('<') {
+        "is XML; give a robot file (TOML), as `octopus robot import` makes of a URDF".to_owned()
+    } else {
+        return Ok(());
+    };
+    Err(ExitError::new(ExitCode::BadInput, format!("robot {}: {what}", path.display())))
 }
 
 /// The same, refused if it is no robot that can be simulated so; every command that simulates takes this one.
@@ -52,4 +71,19 @@ pub fn load_robot_of(config: &Config) -> anyhow::Result<Robot> {
         return Err(ExitError::new(ExitCode::BadInput, message).into());
     }
     Ok(robot)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_robot_file_is_said_to_be_what_it_is() {
+        let said = |text| check_is_toml(text, Path::new("a b.urdf")).map_err(|error| error.message);
+        let urdf = said("<?xml version=\"1.0\"?>\n<robot name=\"x\"/>").expect_err("a URDF");
+        assert!(urdf.contains("`octopus robot import 'a b.urdf' --out"), "{urdf}");
+        assert!(said("\n<mujoco/>").is_err_and(|said| said.contains("is XML")));
+        assert!(said(" \n").is_err_and(|said| said.contains("is empty")));
+        assert_eq!(said("name = \"x\""), Ok(()));
+    }
 }

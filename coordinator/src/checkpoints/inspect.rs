@@ -25,13 +25,15 @@ pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {
     if damaged == 0 {
         return Ok(());
     }
-    let message = match found.len() {
-        1 => "the checkpoint is damaged".to_owned(),
+    let (message, them) = match found.len() {
+        1 => ("the checkpoint is damaged".to_owned(), "it"),
         all => {
             let are = if damaged == 1 { "is" } else { "are" };
-            format!("{damaged} of {all} checkpoints {are} damaged")
+            (format!("{damaged} of {all} checkpoints {are} damaged"), "those")
         }
     };
+    let message =
+        format!("{message}; copy {them} again, or take another one (`octopus checkpoints list`)");
     Err(ExitError::new(ExitCode::RunDirectory, message).into())
 }
 

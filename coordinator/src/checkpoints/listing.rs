@@ -119,7 +119,7 @@ pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
         output::line(&describe(&shown, output::columns(), args.tensors))?;
     }
     if damaged {
-        let message = "the checkpoint is damaged";
+        let message = "the checkpoint is damaged; copy it again, or take another one (`octopus checkpoints list`)";
         return Err(ExitError::new(ExitCode::RunDirectory, message).into());
     }
     Ok(())

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use proto::{ExitCode, ExitError};
-use simulator::robot::FARTHEST_HOME;
+use simulator::robot::{FARTHEST_HOME, Robot};
 use store::outputs::Output;
 use store::{files, regular_files};
 
@@ -76,6 +76,14 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     };
     let text = regular_files::read_text(&args.urdf, regular_files::TEXT)
         .map_err(|error| refused(&error))?;
+    if text.trim().is_empty() {
+        return Err(refused(&"is empty; give a URDF").into());
+    }
+    if Robot::from_toml(&text, &args.urdf).is_ok() {
+        let robot = output::quoted(&args.urdf);
+        let is = format!("is a robot file already; `octopus robot check {robot}` looks at it");
+        return Err(refused(&is).into());
+    }
     let home = [0.0, 0.0, args.height];
     let mut imported = ::urdf::import(&text, args.hand.as_deref(), home)
         .and_then(|imported| imported.at_home(&args.home))
@@ -139,6 +147,29 @@ mod tests {
         assert_eq!(angle("elbow=-1.57"), Ok(("elbow".to_owned(), -1.57)));
         for wrong in ["elbow", "=1", "elbow=", "elbow=nan", "elbow=inf"] {
             assert!(angle(wrong).is_err_and(|wanted| wanted.contains("elbow=1.57")), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_urdf_is_said_to_be_what_it_is() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let urdf = dir.path().join("r.toml");
+        let robot = Robot::builtin("paper").expect("built in").to_toml();
+        for (text, said) in [
+            ("\n", "r.toml: is empty; give a URDF"),
+            (&*robot, "is a robot file already; `octopus robot check"),
+        ] {
+            std::fs::write(&urdf, text).expect("written");
+            let args = ImportArgs {
+                urdf: urdf.clone(),
+                out: None,
+                hand: None,
+                home: Vec::new(),
+                height: 4.0,
+                force: false,
+            };
+            let told = run(&args).expect_err("no URDF").to_string();
+            assert!(told.contains(said), "{told}");
         }
     }
 

@@ -37,7 +37,8 @@ impl RecordedEpisode {
     /// # Errors
     /// Why it is none of ours, in words.
     pub fn of(file: &[u8]) -> Result<Self, String> {
-        let summary = Summary::read(file).map_err(|error| error.to_string())?;
+        let summary = Summary::read(file)
+            .map_err(|error| format!("it is cut off or damaged ({error}); record it again"))?;
         let summary = summary.ok_or("it has no summary")?;
         let index = summary.metadata_indexes.iter().find(|index| index.name == ABOUT);
         let index = index.ok_or("`octopus record` did not make it")?;

@@ -18,8 +18,9 @@ impl Recorded {
     /// # Errors
     /// What is wrong with the file.
     pub fn read(file: &[u8]) -> Result<Self, String> {
-        let summary = mcap::Summary::read(file).map_err(|error| error.to_string())?;
-        let summary = summary.ok_or("has no summary: it was not written to its end")?;
+        let damaged = |what: &str| format!("is cut off or damaged ({what}); record it again");
+        let summary = mcap::Summary::read(file).map_err(|error| damaged(&error.to_string()))?;
+        let summary = summary.ok_or_else(|| damaged("it has no summary"))?;
         let part = |name: &str| -> Result<Vec<u8>, String> {
             let mut found = summary.attachment_indexes.iter().filter(|index| index.name == name);
             let index = found.next().ok_or_else(|| {
@@ -27,7 +28,7 @@ impl Recorded {
             })?;
             let end = index.offset.checked_add(index.length);
             if end.is_none_or(|end| end > file.len() as u64) {
-                return Err(format!("{name} is cut short"));
+                return Err(damaged(&format!("{name} is cut short")));
             }
             if index.data_size > LONGEST {
                 return Err(format!("{name} is longer than {} MiB", LONGEST >> 20));

@@ -98,6 +98,7 @@ impl Lab {
         }
         for &task in tasks {
             let Some(path) = place(args, task, needs) else { continue };
+            check_holds(args, task, &path)?;
             let checkpoint = open_checkpoint(&path)?;
             let trained = Trained::new(checkpoint, robot.as_ref())?;
             if trained.task() != task {
@@ -420,6 +421,25 @@ fn place(args: &Common, task: TaskName, needs: Needs) -> Option<PathBuf> {
         (!left_out).then_some(place)
     };
     own.clone().or_else(of_all)
+}
+
+/// Refuses a directory of all policies in which that of a task is missing.
+fn check_holds(args: &Common, task: TaskName, path: &Path) -> Result<(), ExitError> {
+    let own = if task.reaches() { &args.trajectory } else { &args.reorientation };
+    let Some(dir) = args.policies.as_deref().filter(|_| own.is_none() && !path.exists()) else {
+        return Ok(());
+    };
+    let (shown, name) = (dir.display(), task.as_str());
+    let message = if dir.is_dir() {
+        format!(
+            "--policies {shown}: holds no `{name}`; wanted is a directory with `trajectory` and `reorientation`, each \
+             a run directory, a directory of checkpoints or a checkpoint; {} names a policy from elsewhere",
+            flag(task)
+        )
+    } else {
+        format!("--policies {shown}: is no directory; `octopus status` lists the runs")
+    };
+    Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
 /// What a policy is called beside others: its folder, and where that is `taken` its whole path, with a number if need be.

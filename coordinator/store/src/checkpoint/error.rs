@@ -136,6 +136,20 @@ impl CheckpointError {
         Self::Absent { root: root.to_owned(), name: name.clone() }
     }
 
+    /// Says what to do where a checkpoint that was asked for, of the store at `root`, is not as it was committed.
+    #[must_use]
+    pub(super) fn or_another(self, root: &Path) -> Self {
+        match self {
+            Self::Damaged { path, reason } => {
+                let list = output::quoted(root);
+                let cure = "the checkpoint is damaged: copy it again, or take another one";
+                let reason = format!("{reason}; {cure} (`octopus checkpoints list {list}`)");
+                Self::Damaged { path, reason }
+            }
+            other => other,
+        }
+    }
+
     /// Whether the file that could not be read does not exist.
     pub(super) fn is_absence(&self) -> bool {
         match self {

@@ -102,6 +102,9 @@ impl Manifest {
         if bytes.len() as u64 > MAX_MANIFEST {
             return Err(format!("longer than {MAX_MANIFEST} bytes"));
         }
+        if bytes.is_empty() {
+            return Err("is empty".to_owned());
+        }
         let manifest: Self =
             serde_json::from_slice(bytes).map_err(|error| format!("not a manifest: {error}"))?;
         if manifest.format != FORMAT {

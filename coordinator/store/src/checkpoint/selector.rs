@@ -90,7 +90,7 @@ impl Selector {
             return store.latest().map_err(|error| explain(&store, error));
         }
         let (store, name) = self.locate()?;
-        store.load(&store.dir(&name))
+        store.load(&store.dir(&name)).map_err(|error| error.or_another(store.root()))
     }
 
     /// The checkpoint whose directory the path is, damaged or not.
@@ -171,6 +171,10 @@ pub fn store_at(path: &Path) -> Result<CheckpointStore, CheckpointError> {
         "is a bucket, which this command does not read; `octopus checkpoints export` brings a checkpoint from \
          it, `octopus resume` a run"
             .to_owned()
+    } else if let Some(dir) =
+        path.parent().filter(|dir| path.exists() && dir.join(MANIFEST).exists())
+    {
+        format!("is a file of a checkpoint; name its directory, {}", output::quoted(dir))
     } else {
         let is = if path.exists() { "is no directory" } else { "does not exist" };
         format!("{is}; `octopus status` lists the runs")
@@ -211,12 +215,21 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
                     Some(run) => none_of_run(&run),
                     None => "holds no checkpoint; `octopus status` lists the runs".to_owned(),
                 },
-                inventory => format!("holds no checkpoint of a run's own; it has {inventory}"),
+                inventory => format!(
+                    "holds no checkpoint of a run's own; it has {inventory}; name one of them, such as {}",
+                    output::quoted(example(store))
+                ),
             };
             CheckpointError::NotFound { path, what }
         }
         other => other,
     }
+}
+
+/// The path of the newest checkpoint of a store that has some.
+fn example(store: &CheckpointStore) -> PathBuf {
+    let newest = store.entries().ok().and_then(|entries| entries.into_iter().next_back());
+    newest.map_or_else(|| store.root().to_owned(), |entry| store.dir(&entry.name))
 }
 
 /// How a run without a checkpoint gets one.
