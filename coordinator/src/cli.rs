@@ -95,7 +95,7 @@ pub enum Command {
     Serve(serve::ServeArgs),
     /// Show a run or a policy in a browser.
     View(view::ViewArgs),
-    /// Remove what killed runs of this user left in shared memory, and killed commands among temporary files.
+    /// Remove what killed runs and commands of this user left behind.
     Clean(clean::CleanArgs),
     /// Removes what a killed coordinator leaves; started by every run beside it.
     #[command(hide = true)]
