@@ -11,6 +11,8 @@ const LEAST: usize = 40;
 const GAP: usize = 2;
 /// A column as narrow as this is a number or a word, and is not wrapped.
 const NARROW: usize = 14;
+/// Words that are longer than this are paths, and may be broken; others may be names.
+const NAME: usize = 24;
 
 /// How wide a line on standard output may be.
 pub fn columns() -> usize {
@@ -55,8 +57,9 @@ fn width(text: &str) -> usize {
     text.lines().map(str::width).max().unwrap_or(0)
 }
 
+/// Width of the longest word that shall stay whole.
 fn longest_word(text: &str) -> usize {
-    text.split_whitespace().map(str::width).max().unwrap_or(0)
+    text.split_whitespace().map(str::width).filter(|width| *width <= NAME).max().unwrap_or(0)
 }
 
 /// How many characters columns take beside each other.

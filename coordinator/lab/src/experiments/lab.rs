@@ -437,7 +437,9 @@ fn check_holds(args: &Common, task: TaskName, path: &Path) -> Result<(), ExitErr
             flag(task)
         )
     } else {
-        format!("--policies {shown}: is no directory; `octopus status` lists the runs")
+        format!(
+            "--policies {shown}: is no directory; wanted is one with `trajectory` and `reorientation`"
+        )
     };
     Err(ExitError::new(ExitCode::RunDirectory, message))
 }
