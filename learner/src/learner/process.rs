@@ -3,12 +3,12 @@
 use proto::Digest;
 use proto::config::{Run, TaskName};
 use proto::layout::{Dimensions, SnapshotHeader};
-use rayon::ThreadPool;
 
 use super::ports::Ports;
 use crate::algorithm::Algorithm;
 use crate::state::TrainingState;
 use crate::state::image::Image;
+use crate::threads::KeptThreads;
 
 /// The process: what trains, and what talks.
 pub(super) struct Learner {
@@ -25,7 +25,7 @@ pub(super) struct Learner {
 pub(super) struct Trainer {
     pub(super) algorithm: Algorithm,
     pub(super) state: TrainingState,
-    pub(super) thread: ThreadPool,
+    pub(super) thread: KeptThreads,
 }
 
 impl Learner {

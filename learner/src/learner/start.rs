@@ -20,7 +20,7 @@ use crate::algorithm::Algorithm;
 use crate::precision::Arithmetic;
 use crate::state::TrainingState;
 use crate::state::image::Image;
-use crate::threads::kept_threads;
+use crate::threads::KeptThreads;
 
 /// Trains the policies of a SpaceOctopus run; started by `octopus`, not by hand.
 #[derive(Debug, Clone, clap::Parser)]
@@ -80,7 +80,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         trainer: Trainer {
             algorithm: Algorithm::new(&config, &dimensions, &state),
             state,
-            thread: kept_threads("update", 1),
+            thread: KeptThreads::new("update", 1),
         },
     };
     let result = serve(&mut learner);

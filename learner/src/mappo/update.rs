@@ -19,7 +19,7 @@ use crate::mlp::Threads;
 use crate::optimizer_step::{NetworkPasses, NetworkRows, learning_rates};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
-use crate::threads::kept_threads;
+use crate::threads::KeptThreads;
 use crate::update::Update;
 
 /// Samples of each actor that go through the networks at once on a CPU. Activations of so many fit in the cache; of
@@ -35,7 +35,7 @@ pub struct Mappo {
     options: Options,
     pub(super) groups: Vec<Group>,
     /// Those that compute groups beside the caller's.
-    others: Option<ThreadPool>,
+    others: Option<KeptThreads>,
     /// With how many of libtorch's threads a group is computed.
     threads: usize,
     work: Arc<AtomicU64>,
@@ -96,7 +96,7 @@ impl Mappo {
             layout: BlockLayout::new(dimensions),
             options: Options::new(config),
             groups,
-            others: (at_once > 1).then(|| kept_threads("update", at_once - 1)),
+            others: (at_once > 1).then(|| KeptThreads::new("update", at_once - 1)),
             threads: threads / at_once,
             work: Arc::default(),
         }
@@ -135,7 +135,7 @@ impl Update for Mappo {
             observation_norm: state.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std),
             state_norm: state.state_norm.as_ref().map(InputNorm::mean_and_inverse_std),
         };
-        let threads = (self.others.as_ref(), self.threads);
+        let threads = (self.others.as_deref(), self.threads);
         let outcomes = run_groups(&mut self.groups, state, &inputs, threads, trace);
         let actor_lr = inputs.actor_lr.iter().sum::<f64>() / inputs.actor_lr.len() as f64;
         let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };

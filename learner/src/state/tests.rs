@@ -158,6 +158,12 @@ fn what_is_not_finite_after_an_update_is_named() {
         let expected = format!("the {network} of agent {agent} holds parameters that are not");
         assert!(message.starts_with(&expected), "{message}");
     }
+    // Of a shared network the first bias is each agent's own.
+    let shared = self::config(&["network.parameter_sharing=all"]);
+    let (of_all, _) = state(&shared);
+    put(&of_all.actor, "hidden.0.bias", 1, f64::NAN);
+    let message = of_all.check_bounds().expect_err("not finite").to_string();
+    assert!(message.starts_with("the actor of agent 1 holds parameters"), "{message}");
     // Finite, but e⁹⁰ is beyond single precision.
     let message = said(&|state| put(&state.actor, "log_std", 1, 90.0)).expect_err("too large");
     assert!(message.starts_with("the actor of agent 1 holds deviations"), "{message}");

@@ -148,12 +148,16 @@ impl TrainingState {
             let whole = network.spec.learned_parts(&network.flat);
             let deviations = is_stochastic
                 .then(|| network.spec.learned("log_std", &network.flat).exp())
-                .map(|deviations| (deviations, "deviations beyond all numbers"));
-            let parts = whole.into_iter().map(|part| (part, "parameters that are not finite"));
-            for (part, what) in parts.chain(deviations) {
+                .map(|deviations| (deviations, 0, "deviations beyond all numbers"));
+            // The second part begins behind the first.
+            let parts = whole.into_iter().enumerate().map(|(index, part)| {
+                (part, index * network.spec.n_networks, "parameters that are not finite")
+            });
+            for (part, first, what) in parts.chain(deviations) {
                 let sums = part.sum_dim_intlist(&[1i64][..], false, Kind::Double);
                 let sums = Vec::<f64>::try_from(sums).expect("a number a row");
-                if let Some(agent) = sums.iter().position(|sum| !sum.is_finite()) {
+                if let Some(row) = sums.iter().position(|sum| !sum.is_finite()) {
+                    let agent = first + row;
                     let (network, iteration) = (network.spec.kind.as_str(), self.iteration);
                     return Err(LearnerError::Unbounded { network, agent, what, iteration });
                 }

@@ -387,12 +387,12 @@ fn secrets_in_addresses_are_not_repeated() {
 
 #[test]
 fn a_divergence_that_nobody_would_find_is_no_aim() {
-    let resolved = |name: &str, steps: [&str; 2]| {
-        let [epochs, mini_batches] = steps;
+    let resolved = |name: &str, [epochs, mini_batches, overlap]: [&str; 3]| {
         let assignments = [
             format!("algorithm.name={name}"),
             format!("algorithm.epochs={epochs}"),
             format!("algorithm.mini_batches={mini_batches}"),
+            format!("run.overlap={overlap}"),
             "optimizer.target_kl=0.01".to_owned(),
         ];
         let layers = assignments.iter().fold(Layers::new(Preset::Paper, None), |layers, text| {
@@ -400,10 +400,11 @@ fn a_divergence_that_nobody_would_find_is_no_aim() {
         });
         layers.resolve().map_err(|error| error.to_string())
     };
-    let message = resolved("mappo", ["1", "1"]).expect_err("one step");
+    let message = resolved("mappo", ["1", "1", "0"]).expect_err("one step");
     assert!(message.contains("optimizer.target_kl") && message.contains("one step"), "{message}");
-    let config = resolved("mappo", ["1", "2"]).expect("two steps");
-    resolved("maddpg", ["1", "1"]).expect("it asks for no divergence");
+    let config = resolved("mappo", ["1", "2", "0"]).expect("two steps");
+    resolved("mappo", ["1", "1", "1"]).expect("the update before is found");
+    resolved("maddpg", ["1", "1", "0"]).expect("it asks for no divergence");
     // What a run began with it may go on with.
     let text =
         toml::to_string(&config).expect("TOML").replace("mini_batches = 2", "mini_batches = 1");

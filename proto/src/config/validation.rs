@@ -293,9 +293,10 @@ impl Config {
     /// Refuses what would be ignored without a word. Runs that began with it may go on.
     pub(super) fn refuse_what_has_no_effect(&self) -> Result<(), ConfigError> {
         let Algorithm { name, epochs, mini_batches, .. } = &self.algorithm;
-        // How far an actor went is known before each of its steps, and before the first one it has gone nowhere.
-        let has_one_step = *name != AlgorithmName::Maddpg && epochs * mini_batches == 1;
-        if has_one_step && self.optimizer.target_kl > 0.0 {
+        // How far an actor went is known before each of its steps. Before the first one it has gone nowhere, unless workers act with the policy of an
+        // iteration before.
+        let is_blind = epochs * mini_batches == 1 && self.run.overlap == 0;
+        if is_blind && *name != AlgorithmName::Maddpg && self.optimizer.target_kl > 0.0 {
             return Err(ConfigError::Invalid {
                 key: "optimizer.target_kl",
                 problem:

@@ -77,7 +77,7 @@ impl<'a> Worker<'a> {
         Status::Heartbeat { worker, incarnation, orders }
     }
 
-    /// Says what went wrong; the worker goes on.
+    /// Says what went wrong.
     pub(super) fn fail(&self, what: &str, fault: Option<Box<Fault>>) -> Result<(), ExitError> {
         tracing::error!(worker = self.id, "{what}");
         self.send(&Status::Failed {
