@@ -35,7 +35,7 @@ pub struct CleanArgs {
 /// Cleans.
 pub fn run(args: CleanArgs) -> anyhow::Result<()> {
     let domains = leftovers().context("/dev/shm cannot be searched")?;
-    let directories = left_directories()?;
+    let directories = left_directories();
     let mut cleaned = Vec::new();
     for domain in domains {
         let removed = if args.dry_run {
@@ -54,7 +54,8 @@ pub fn run(args: CleanArgs) -> anyhow::Result<()> {
         };
         cleaned.push((words, json!({ "domain": domain.as_str(), "removed": removed })));
     }
-    for directory in directories {
+    // Where it cannot be looked for them, the others have gone all the same.
+    for directory in directories? {
         let path = directory.path().to_owned();
         let (verb, removed) = if args.dry_run {
             ("would remove", None)
@@ -83,8 +84,9 @@ fn left_directories() -> anyhow::Result<Vec<Leftover>> {
     if !found.is_empty() {
         let traces = traces().context("/proc cannot be searched")?;
         found.retain(|leftover| {
-            let path = leftover.path().to_string_lossy();
-            !traces.iter().any(|trace| trace.contains(&*path))
+            // Its name, which nothing else has: the way to it may be spelled otherwise.
+            let name = leftover.path().file_name().unwrap_or_default().to_string_lossy();
+            !traces.iter().any(|trace| trace.contains(&*name))
         });
     }
     Ok(found)
