@@ -18,6 +18,11 @@ struct There {
     problem: Option<String>,
 }
 
+/// Where the labels of a checkpoint lie.
+fn labels_key(name: &Name) -> String {
+    format!("{}/{LABELS}", folder(name))
+}
+
 /// What becomes of labels that cannot be read when they are changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Unreadable {
@@ -41,7 +46,7 @@ impl Bucket {
     }
 
     async fn labels_there(&self, name: &Name) -> Result<There, BucketError> {
-        let Some(small) = self.read(&self.labels_key(name)).await? else {
+        let Some(small) = self.read(&labels_key(name)).await? else {
             return Ok(There { labels: Labels::default(), version: None, problem: None });
         };
         let (labels, problem) = match Labels::parse(&small.bytes) {
@@ -49,10 +54,6 @@ impl Bucket {
             Err(reason) => (Labels::unreadable(), Some(reason)),
         };
         Ok(There { labels, version: Some(small), problem })
-    }
-
-    fn labels_key(&self, name: &Name) -> String {
-        format!("{}/{LABELS}", folder(name))
     }
 
     /// The error of labels that cannot be read.
@@ -63,7 +64,7 @@ impl Bucket {
              {}` write it anew",
             output::quoted(&place)
         );
-        BucketError::damaged(self.shown(&self.labels_key(name)), reason)
+        BucketError::damaged(self.shown(&labels_key(name)), reason)
     }
 
     /// Changes the labels of a checkpoint. Whoever changes them meanwhile is not overwritten: the change is made again
@@ -74,9 +75,16 @@ impl Bucket {
         unreadable: Unreadable,
         change: impl Fn(&mut Labels) -> Result<(), BucketError>,
     ) -> Result<(), BucketError> {
-        let key = self.labels_key(name);
+        let key = labels_key(name);
         for _ in 0..TRIES {
-            let there = self.labels_there(name).await?;
+            let there = match self.labels_there(name).await {
+                // Too long to be read.
+                Err(BucketError::Damaged { .. }) if unreadable == Unreadable::Replace => {
+                    self.remove(&key).await?;
+                    continue;
+                }
+                there => there?,
+            };
             if let (Some(problem), Unreadable::Keep) = (&there.problem, unreadable) {
                 return Err(self.unreadable_labels(name, problem));
             }
@@ -188,7 +196,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("tempdir");
         let bucket = Bucket::open(&format!("file://{}", dir.path().display())).expect("opens");
         let name = Name::of_iteration(5);
-        let key = bucket.labels_key(&name);
+        let key = labels_key(&name);
         for damage in ["", "{", "[]", "{\"pinned\": 3}", "{\"surprise\": 1}"] {
             bucket.wait(bucket.write_named(&key, damage.into())).expect("written");
             let (labels, problem) = bucket.wait(bucket.labels(&name)).expect("told");

@@ -187,7 +187,7 @@ impl Sending {
         } else if self.sent.trouble.take().is_some() {
             self.remember();
             self.tell();
-            tracing::warn!("{}: all checkpoints are in the bucket again", self.bucket.address());
+            tracing::warn!("{}: all is in the bucket again", self.bucket.address());
         }
     }
 

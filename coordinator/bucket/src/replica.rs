@@ -112,6 +112,9 @@ impl Replica {
     fn find_newest_own(&self) -> Result<Option<(Name, Recorded)>, BucketError> {
         let run = self.run();
         let [config, metrics] = [run.config(), run.metrics_jsonl()];
+        for of_before in [&config, &metrics] {
+            let _ = fs::remove_file(of_before);
+        }
         for listed in resumable(&self.listing) {
             let scratch =
                 tempfile::tempdir_in(run.path()).map_err(|error| file_error(run.path(), &error))?;
