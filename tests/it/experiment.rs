@@ -283,7 +283,11 @@ fn experiments_that_cannot_be() {
     refused(&["reassembly"], 2, &["--trajectory and --reorientation"]);
     refused(&["base-mass"], 2, &["name one with --reorientation"]);
     refused(&["base-mass", "--trajectory=x", "--reorientation=x"], 2, &["no meaning here"]);
-    refused(&["precision", "--policies=/no/such"], 5, &["--policies /no/such", "wanted is one with"]);
+    refused(
+        &["precision", "--policies=/no/such"],
+        5,
+        &["--policies /no/such", "wanted is one with"],
+    );
     refused(&["precision", "--robot=no-such.toml"], 3, &["no-such.toml"]);
     for args in [
         &["precision", "--episodes=0"][..],

@@ -334,7 +334,7 @@ fn reproductions_that_cannot_be() {
     let out = scratch.path().join("out");
     let out = ["--out", out.to_str().expect("UTF-8")];
     let nowhere = ["--policies=/no/such"];
-    refused(&[&nowhere[..], &out].concat(), 5, &["/no/such/trajectory"]);
+    refused(&[&nowhere[..], &out].concat(), 5, &["--policies /no/such", "wanted is one with"]);
     refused(&["--quick", "--steps=0"], 2, &["wants"]);
     refused(&["--train", "--policies=/no/such"], 2, &["--policies", "--train"]);
     refused(&["--seeds=2"], 2, &["--train"]);

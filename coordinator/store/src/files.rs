@@ -4,7 +4,7 @@
 //! so that what a killed one has left is known for that and removed.
 
 use std::fs::File;
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
@@ -30,14 +30,23 @@ pub fn replace_output(path: &Path, content: &[u8]) -> Result<(), ExitError> {
 /// Whether [`replace_output`] can make a file at `path`; nothing stays of the trial.
 pub(crate) fn try_place(path: &Path) -> std::io::Result<()> {
     let temporary = temporary(path);
-    File::create(&temporary)?;
-    std::fs::remove_file(&temporary)
+    match File::create_new(&temporary) {
+        // Of a process of the same number that was killed, or of another container: the place takes files.
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => return Ok(()),
+        made => made?,
+    };
+    match std::fs::remove_file(&temporary) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Whether files can be made in `directory`, or in what is there above it where it is still to be made.
 pub fn try_directory(directory: &Path) -> std::io::Result<()> {
-    let directory = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
-    match directory.ancestors().find(|above| above.is_dir()) {
+    let named = |place: &'_ Path| {
+        if place.as_os_str().is_empty() { PathBuf::from(".") } else { place.to_owned() }
+    };
+    match directory.ancestors().map(named).find(|above| above.is_dir()) {
         Some(there) => try_place(&there.join("trial")),
         None => Ok(()),
     }

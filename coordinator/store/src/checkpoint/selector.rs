@@ -174,6 +174,7 @@ pub fn store_at(path: &Path) -> Result<CheckpointStore, CheckpointError> {
     } else if let Some(dir) =
         path.parent().filter(|dir| path.exists() && dir.join(MANIFEST).exists())
     {
+        let dir = if dir.as_os_str().is_empty() { Path::new(".") } else { dir };
         format!("is a file of a checkpoint; name its directory, {}", output::quoted(dir))
     } else {
         let is = if path.exists() { "is no directory" } else { "does not exist" };
