@@ -96,7 +96,7 @@ impl Bucket {
     /// Removes a checkpoint: from its first step on there is none.
     pub fn delete(&self, name: &Name) -> Result<(), BucketError> {
         self.wait(async {
-            if self.labels(name).await?.0.pinned {
+            if self.labels(name).await?.labels.pinned {
                 return Err(CheckpointError::Pinned { path: self.place(name) }.into());
             }
             self.remove(&format!("{}/{MANIFEST}", folder(name))).await?;

@@ -10,12 +10,13 @@ use crate::record::{LABELS, folder};
 /// How often labels are tried that others change at the same moment.
 const TRIES: usize = 16;
 
-/// Labels as a bucket holds them.
-struct There {
-    labels: Labels,
-    version: Option<Small>,
+/// Labels as a bucket holds them; none there are none.
+pub(crate) struct StoredLabels {
+    pub(crate) labels: Labels,
+    /// What was read; none of what is too long.
+    read: Option<Small>,
     /// Why they cannot be read, and count as pinned.
-    problem: Option<String>,
+    pub(crate) problem: Option<String>,
 }
 
 /// Where the labels of a checkpoint lie.
@@ -33,27 +34,26 @@ enum Unreadable {
 }
 
 impl Bucket {
-    /// The labels of a checkpoint; none there are none. Of those that cannot be read, also why.
-    pub(crate) async fn labels(
-        &self,
-        name: &Name,
-    ) -> Result<(Labels, Option<String>), BucketError> {
-        match self.labels_there(name).await {
-            Ok(there) => Ok((there.labels, there.problem)),
-            Err(BucketError::Damaged { reason, .. }) => Ok((Labels::unreadable(), Some(reason))),
-            Err(error) => Err(error),
-        }
-    }
-
-    async fn labels_there(&self, name: &Name) -> Result<There, BucketError> {
-        let Some(small) = self.read(&labels_key(name)).await? else {
-            return Ok(There { labels: Labels::default(), version: None, problem: None });
+    /// The labels of a checkpoint.
+    pub(crate) async fn labels(&self, name: &Name) -> Result<StoredLabels, BucketError> {
+        let unreadable = |read, reason| StoredLabels {
+            labels: Labels::unreadable(),
+            read,
+            problem: Some(reason),
         };
-        let (labels, problem) = match Labels::parse(&small.bytes) {
-            Ok(labels) => (labels, None),
-            Err(reason) => (Labels::unreadable(), Some(reason)),
+        let small = match self.read(&labels_key(name)).await {
+            Ok(Some(small)) => small,
+            Ok(None) => {
+                let labels = Labels::default();
+                return Ok(StoredLabels { labels, read: None, problem: None });
+            }
+            Err(BucketError::Damaged { reason, .. }) => return Ok(unreadable(None, reason)),
+            Err(error) => return Err(error),
         };
-        Ok(There { labels, version: Some(small), problem })
+        Ok(match Labels::parse(&small.bytes) {
+            Ok(labels) => StoredLabels { labels, read: Some(small), problem: None },
+            Err(reason) => unreadable(Some(small), reason),
+        })
     }
 
     /// The error of labels that cannot be read.
@@ -77,14 +77,7 @@ impl Bucket {
     ) -> Result<(), BucketError> {
         let key = labels_key(name);
         for _ in 0..TRIES {
-            let there = match self.labels_there(name).await {
-                // Too long to be read.
-                Err(BucketError::Damaged { .. }) if unreadable == Unreadable::Replace => {
-                    self.remove(&key).await?;
-                    continue;
-                }
-                there => there?,
-            };
+            let there = self.labels(name).await?;
             if let (Some(problem), Unreadable::Keep) = (&there.problem, unreadable) {
                 return Err(self.unreadable_labels(name, problem));
             }
@@ -94,7 +87,11 @@ impl Bucket {
                 return Ok(());
             }
             let text = serde_json::to_vec_pretty(&after).expect("labels have a JSON form");
-            if self.write_after(&key, there.version.as_ref(), text).await? == Written::Done {
+            if there.problem.is_some() && there.read.is_none() {
+                // Too long to be read, and so to be replaced.
+                self.remove(&key).await?;
+            }
+            if self.write_after(&key, there.read.as_ref(), text).await? == Written::Done {
                 return Ok(());
             }
         }
@@ -189,6 +186,7 @@ impl Bucket {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::objects::SMALL;
 
     /// What somebody has said in them would be lost, and a pinned checkpoint with it.
     #[test]
@@ -199,7 +197,8 @@ mod tests {
         let key = labels_key(&name);
         for damage in ["", "{", "[]", "{\"pinned\": 3}", "{\"surprise\": 1}"] {
             bucket.wait(bucket.write_named(&key, damage.into())).expect("written");
-            let (labels, problem) = bucket.wait(bucket.labels(&name)).expect("told");
+            let StoredLabels { labels, problem, .. } =
+                bucket.wait(bucket.labels(&name)).expect("told");
             assert!(labels.pinned && problem.expect("why").contains("not labels"), "{damage}");
             bucket.delete(&name).expect_err("pinned");
             let (sent, local) =
@@ -211,7 +210,14 @@ mod tests {
             assert_eq!(there.bytes, damage);
         }
         bucket.pin(&name, true).expect("written anew");
-        let pinned = (Labels::unreadable(), None);
-        assert_eq!(bucket.wait(bucket.labels(&name)).expect("read"), pinned);
+        let there = bucket.wait(bucket.labels(&name)).expect("read");
+        assert_eq!((there.labels, there.problem), (Labels::unreadable(), None));
+        // What is too long to be read is replaced as well.
+        let long = " ".repeat(SMALL as usize + 1);
+        bucket.wait(bucket.write_named(&key, long.into())).expect("written");
+        bucket.delete(&name).expect_err("pinned");
+        bucket.pin(&name, false).expect("written anew");
+        let there = bucket.wait(bucket.labels(&name)).expect("read");
+        assert_eq!((there.labels, there.problem), (Labels::default(), None));
     }
 }

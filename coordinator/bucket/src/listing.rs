@@ -6,6 +6,7 @@ use store::checkpoint::{Labels, Manifest, Name};
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
+use crate::labelling::StoredLabels;
 use crate::record::{CHECKPOINTS, MANIFEST, Record, folder};
 
 /// Small objects that are read at the same time.
@@ -88,7 +89,7 @@ impl Bucket {
             let reason = format!("is of iteration {}, not of that name", record.manifest.iteration);
             return Err(BucketError::damaged(self.shown(&key), reason));
         }
-        let (labels, labels_problem) = self.labels(name).await?;
-        Ok(Some(Listed { name: name.clone(), record, labels, labels_problem }))
+        let StoredLabels { labels, problem, .. } = self.labels(name).await?;
+        Ok(Some(Listed { name: name.clone(), record, labels, labels_problem: problem }))
     }
 }

@@ -16,7 +16,7 @@ use crate::bucket::Bucket;
 use crate::error::BucketError;
 
 /// Longest small object: manifests, labels (bytes).
-const SMALL: u64 = 4 << 20;
+pub(crate) const SMALL: u64 = 4 << 20;
 /// Larger files are sent in parts of this size (bytes); S3 wants 5 MiB at least.
 const PART: usize = 8 << 20;
 
