@@ -35,7 +35,11 @@ pub struct CleanArgs {
 /// Cleans.
 pub fn run(args: CleanArgs) -> anyhow::Result<()> {
     let domains = leftovers().context("/dev/shm cannot be searched")?;
-    let directories = left_directories();
+    // Where it cannot be looked for them, the others go all the same.
+    let (directories, unsearched) = match left_directories() {
+        Ok(directories) => (directories, None),
+        Err(error) => (Vec::new(), Some(error)),
+    };
     let mut cleaned = Vec::new();
     for domain in domains {
         let removed = if args.dry_run {
@@ -54,8 +58,7 @@ pub fn run(args: CleanArgs) -> anyhow::Result<()> {
         };
         cleaned.push((words, json!({ "domain": domain.as_str(), "removed": removed })));
     }
-    // Where it cannot be looked for them, the others have gone all the same.
-    for directory in directories? {
+    for directory in directories {
         let path = directory.path().to_owned();
         let (verb, removed) = if args.dry_run {
             ("would remove", None)
@@ -67,12 +70,13 @@ pub fn run(args: CleanArgs) -> anyhow::Result<()> {
         cleaned.push((words, json!({ "directory": path, "removed": removed })));
     }
     if args.json {
-        return output::json(&cleaned.iter().map(|(_, entry)| entry).collect::<Vec<_>>());
+        output::json(&cleaned.iter().map(|(_, entry)| entry).collect::<Vec<_>>())?;
+    } else if cleaned.is_empty() && unsearched.is_none() {
+        output::line("nothing to remove")?;
+    } else {
+        cleaned.iter().try_for_each(|(words, _)| output::line(words))?;
     }
-    if cleaned.is_empty() {
-        return output::line("nothing to remove");
-    }
-    cleaned.iter().try_for_each(|(words, _)| output::line(words))
+    unsearched.map_or(Ok(()), Err)
 }
 
 /// Temporary directories of this user's commands that no process uses. What a killed one had started may still
