@@ -36,7 +36,8 @@ a change of the present pose instead: a shift along the axes of --frame and a tu
 
 Candidates are played in the simulator, contacts included: every set of joint angles that the \
 arm has for the pose, straight or with a detour, the other arms at rest or moving, which moves \
-the base. 32 are played at a time; of those that arrive and touch nothing the one that arrives first is the plan. Commands are joint rates \
+the base. 32 are played at a time; of those that arrive and touch nothing the one that arrives \
+first is the plan. Commands are joint rates \
 (rad/s), a row a control step of 0.4 s: what `octopus simulate` reads, which ends in the same \
 place. Whatever the machine, the same question has the same answer, if it is found in time. \
 Contacts are looked for in the motion itself, and by playing it again without them; distances \

@@ -121,7 +121,6 @@ impl InputNorm {
             return;
         }
         let total = self.count + n as f64;
-        let features = Features::detect();
         let mut sum = vec![0.0; self.features];
         let mut square = vec![0.0; self.features];
         for (row, blocks) in batch.iter().enumerate() {
@@ -132,7 +131,7 @@ impl InputNorm {
             square.fill(0.0);
             for block in blocks {
                 let sums = [&mut sum[..], &mut square[..]];
-                run_for(features, Deviations { block, pivot, sums });
+                run_for(Features::detect(), Deviations { block, pivot, sums });
             }
             let range = row * self.features..(row + 1) * self.features;
             let running = self.mean[range.clone()].iter_mut().zip(&mut self.m2[range]);

@@ -43,10 +43,9 @@ pub(crate) fn try_place(path: &Path) -> std::io::Result<()> {
 
 /// Whether files can be made in `directory`, or in what is there above it where it is still to be made.
 pub fn try_directory(directory: &Path) -> std::io::Result<()> {
-    let named = |place: &'_ Path| {
-        if place.as_os_str().is_empty() { PathBuf::from(".") } else { place.to_owned() }
-    };
-    match directory.ancestors().map(named).find(|above| above.is_dir()) {
+    // So that a relative one ends here.
+    let directory = Path::new(".").join(directory);
+    match directory.ancestors().find(|above| above.is_dir()) {
         Some(there) => try_place(&there.join("trial")),
         None => Ok(()),
     }
