@@ -11,9 +11,7 @@ use channels::ArraySample;
 use proto::config::{Config, TaskName};
 use proto::finite::are_finite;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
-use proto::message::{
-    Accounting, Errors, HostId, INCARNATIONS_OF_A_GATEWAY, host_of, policy_version_for,
-};
+use proto::message::{Accounting, Errors, HostId, Membership, membership_of, policy_version_for};
 
 use crate::LearnerError;
 
@@ -55,8 +53,8 @@ pub struct Inbox<B> {
     iteration: u64,
     blocks: BTreeMap<(u64, u32), B>,
     accounting: BTreeMap<u64, Accounting>,
-    /// Hosts whose blocks are not wanted, by their gateway and number.
-    unwanted: BTreeSet<(u32, HostId)>,
+    /// Hosts whose blocks are not wanted.
+    unwanted: BTreeSet<Membership>,
 }
 
 impl<B: Block> Inbox<B> {
@@ -81,17 +79,17 @@ impl<B: Block> Inbox<B> {
     /// Takes a block in.
     pub fn receive(&mut self, block: B) -> Result<Receipt, LearnerError> {
         let header = *block.header();
-        if origin(&header).is_some_and(|origin| self.unwanted.contains(&origin)) {
+        if membership(&header).is_some_and(|of| self.unwanted.contains(&of)) {
             return Ok(Receipt::Unwanted);
         }
         self.check_header(&header, block.payload().len())?;
-        let steps = self.block_steps();
-        let account = self.accounting.entry(header.iteration.max(self.iteration)).or_default();
-        account.received += steps;
         if header.iteration < self.iteration {
-            account.duplicate += steps;
+            // Lost, by what its worker has told the coordinator.
             return Ok(Receipt::Duplicate);
         }
+        let steps = self.block_steps();
+        let account = self.accounting.entry(header.iteration).or_default();
+        account.received += steps;
         if let Some(present) = self.blocks.get(&(header.iteration, header.shard)) {
             account.duplicate += steps;
             let same =
@@ -114,7 +112,7 @@ impl<B: Block> Inbox<B> {
     /// Iterations and shards of those that were here.
     pub fn discard(&mut self, gateway: u32, host: HostId) -> Vec<(u64, u32)> {
         self.unwanted.insert((gateway, host));
-        let of_host = |block: &B| origin(block.header()) == Some((gateway, host));
+        let of_host = |block: &B| membership(block.header()) == Some((gateway, host));
         let here = self.blocks.iter().filter(|(_, block)| of_host(block));
         let here: Vec<_> = here.map(|(address, _)| *address).collect();
         let steps = self.block_steps();
@@ -220,7 +218,7 @@ impl<B: Block> Inbox<B> {
         blocks.into_values().collect()
     }
 
-    /// What became of the env-steps of `iteration` and of duplicates that arrived meanwhile.
+    /// What became of the env-steps of `iteration`.
     pub fn account(&mut self, iteration: u64) -> Accounting {
         let mut account = self.accounting.remove(&iteration).unwrap_or_default();
         account.trained = self.block_steps() * self.dimensions.n_shards as u64;
@@ -228,9 +226,8 @@ impl<B: Block> Inbox<B> {
     }
 }
 
-/// Gateway and host that a block came by; none if it was made on this machine.
-fn origin(header: &BlockHeader) -> Option<(u32, HostId)> {
-    Some((header.incarnation / INCARNATIONS_OF_A_GATEWAY, host_of(header.worker)?))
+fn membership(header: &BlockHeader) -> Option<Membership> {
+    membership_of(header.worker, header.incarnation)
 }
 
 /// Means of the episodes' errors over the hands that `task` measures and episodes of all blocks.
@@ -266,6 +263,8 @@ pub fn errors(task: TaskName, dimensions: &Dimensions, shards: &[&[f32]]) -> Err
 mod tests {
     use proto::agents::Joints;
     use proto::config::{Layers, Preset};
+
+    use proto::message::INCARNATIONS_OF_A_GATEWAY;
 
     use super::*;
 
@@ -327,12 +326,12 @@ mod tests {
         assert_eq!(shards, [0, 1]);
         let first = inbox.account(0);
         assert_eq!((first.received, first.trained, first.duplicate), (18, 12, 6));
-        // Late and early ones of the next iteration.
+        // One whose iteration is over counts nowhere.
         assert_eq!(inbox.receive(block(&layout, 0, 0, 1)).expect("late"), Receipt::Duplicate);
         assert_eq!(inbox.receive(block(&layout, 1, 1, 1)).expect("fresh"), Receipt::Fresh);
         inbox.take();
         let second = inbox.account(1);
-        assert_eq!((second.received, second.trained, second.duplicate), (18, 12, 6));
+        assert_eq!((second.received, second.trained, second.duplicate), (12, 12, 0));
     }
 
     #[test]

@@ -38,6 +38,15 @@ pub fn host_of(worker: WorkerId) -> Option<HostId> {
     (worker >= WORKERS_OF_A_HOST).then_some(worker / WORKERS_OF_A_HOST)
 }
 
+/// A membership of another machine: the gateway that it came by, and its number there. Another gateway gives that number to another
+/// machine.
+pub type Membership = (u32, HostId);
+
+/// The membership of a worker in an incarnation; none if it is one of this machine.
+pub fn membership_of(worker: WorkerId, incarnation: u32) -> Option<Membership> {
+    Some((incarnation / INCARNATIONS_OF_A_GATEWAY, host_of(worker)?))
+}
+
 /// Names one end of a channel, of one process.
 pub type PortId = u128;
 
@@ -201,7 +210,9 @@ pub enum Progress {
         shard: u32,
         /// Who made it.
         worker: WorkerId,
-        /// Whether it was there already.
+        /// Its incarnation.
+        incarnation: u32,
+        /// Whether it was there already, or its iteration is over.
         duplicate: bool,
         /// Digest of its numbers.
         digest: Digest,

@@ -4,6 +4,7 @@
 //! tell whether they make the right bits, and no order of a worker waits behind an audit. It simulates with the code of
 //! `sim-worker`, a block at a time, and starts with the first one that is wanted.
 
+use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, Sender};
 
 use proto::Digest;
@@ -19,8 +20,8 @@ const STACK: usize = 8 << 20;
 /// A block to be made.
 struct Wanted {
     address: ShardAddress,
-    /// Parameters of the policy to act with.
-    policy: Vec<f32>,
+    /// Parameters of the policy to act with, which many blocks share.
+    policy: Arc<[f32]>,
 }
 
 /// What became of one: its digest, or why it cannot be made.
@@ -53,7 +54,7 @@ impl Auditor {
     }
 
     /// Has a block made, acted with the policy of these parameters. Whether there is still a thread to make it.
-    pub(crate) fn want(&self, address: ShardAddress, policy: Vec<f32>) -> bool {
+    pub(crate) fn want(&self, address: ShardAddress, policy: Arc<[f32]>) -> bool {
         self.wanted.send(Wanted { address, policy }).is_ok()
     }
 

@@ -19,6 +19,7 @@ pub mod environment;
 pub mod errors;
 pub mod janitor;
 pub mod join;
+mod loop_clock;
 pub mod precision;
 pub mod preflight;
 pub mod report;

@@ -77,15 +77,21 @@ impl Ports {
             }
         }
         while let Some(block) = self.blocks.try_receive()? {
-            let BlockHeader { iteration, shard, worker, .. } = *block.header();
+            let BlockHeader { iteration, shard, worker, incarnation, .. } = *block.header();
             let digest = Digest::of_block(block.payload());
             let duplicate = match self.inbox.receive(block)? {
                 Receipt::Fresh => false,
                 Receipt::Duplicate => true,
                 Receipt::Unwanted => continue,
             };
-            let received = Progress::BlockReceived { iteration, shard, worker, duplicate, digest };
-            self.progress.send(&received)?;
+            self.progress.send(&Progress::BlockReceived {
+                iteration,
+                shard,
+                worker,
+                incarnation,
+                duplicate,
+                digest,
+            })?;
         }
         let Self { outbox, snapshot, .. } = self;
         Ok(outbox.send(|header, bytes| snapshot.send(header, bytes))?)

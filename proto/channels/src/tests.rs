@@ -138,8 +138,8 @@ fn who_reports_waits_for_a_coordinator_that_stands_still() {
     let channels = Channels::create(&domain.0, SIZES).expect("create");
     let receiver = channels.progress_receiver().expect("receiver");
     let digest = proto::Digest([9; 16]);
-    let last =
-        Progress::BlockReceived { iteration: 9, shard: 9, worker: 9, duplicate: false, digest };
+    let (iteration, shard, worker, incarnation, duplicate) = (9, 9, 9, 9, false);
+    let last = Progress::BlockReceived { iteration, shard, worker, incarnation, duplicate, digest };
     let first_heard = std::sync::Barrier::new(2);
     std::thread::scope(|scope| {
         let learner = scope.spawn(|| {

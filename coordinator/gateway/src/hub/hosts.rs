@@ -135,9 +135,13 @@ impl Hosts {
 
     /// A host says which of its workers are there. Whether that changes anything.
     pub(super) fn heard(&mut self, host: HostId, workers: &[u32], now: Instant) -> bool {
+        let others = self.joined.iter().filter(|(number, _)| **number != host);
+        let others: usize = others.map(|(_, host)| host.workers.len()).sum();
         let Some(known) = self.joined.get_mut(&host) else { return false };
         known.heard = Some(now);
         let said = workers.iter().filter(|&&worker| worker < known.room);
+        // Hosts say what they like, and all of it is to fit into a message.
+        let said = said.take(MAX_WORKERS.saturating_sub(others));
         let there: Vec<_> = said.map(|worker| host * WORKERS_OF_A_HOST + worker).collect();
         let before = known.workers.len();
         known.workers.retain(|worker, _| there.contains(worker));
@@ -289,7 +293,12 @@ mod tests {
             hosts.missed(host * WORKERS_OF_A_HOST, u64::MAX / 2);
         }
         assert!(hosts.join("one more", 1, false, now).is_err());
+        // More than they joined with, as far as there is room on their machines.
+        for host in 1..=MAX_HOSTS as u32 {
+            hosts.heard(host, &(0..16).collect::<Vec<_>>(), now);
+        }
         let hosts = hosts.report();
+        assert_eq!(hosts.iter().map(|host| host.workers.len()).sum::<usize>(), MAX_WORKERS);
         let status =
             Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, refused: u32::MAX, hosts };
         let len = message::encode(&status).len();

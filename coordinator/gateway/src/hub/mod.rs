@@ -207,7 +207,10 @@ impl Hub {
                 Order::ScaleHost { host, workers } => {
                     let done = self.hosts.scale(*host, *workers);
                     tracing::info!(host, workers, done, "is to have another number of workers");
-                    self.said = None;
+                    // What cannot be is said when the next word is due: at once it would be asked for again, without end.
+                    if done {
+                        self.said = None;
+                    }
                 }
                 _ => {}
             }
@@ -242,8 +245,12 @@ impl Hub {
             let _ = events.send(Event::Answered(order, Box::new(asked)));
         };
         if let Err(error) = std::thread::Builder::new().name("order".to_owned()).spawn(ask) {
-            // The order is repeated when it is overdue.
             tracing::error!(%error, "cannot start a thread");
+            // Its worker is none until its host is heard again: what it was ordered is open for others then.
+            self.in_flight.end(&order);
+            self.audits.remove(&order.key());
+            self.hosts.dismiss(order.worker);
+            self.said = None;
         }
     }
 

@@ -11,6 +11,7 @@ use proto::{ExitCode, ExitError};
 
 use super::gateway::{Gateway, Word};
 use super::spec::{Ended, JoinSpec, Left};
+use crate::loop_clock::LoopClock;
 use crate::preflight;
 use crate::supervisor::{Death, Supervisor};
 
@@ -43,12 +44,19 @@ impl Host<'_> {
         let words = channels.status_receiver()?;
         gateway.tell(place);
         supervisor.scale(self.spec.workers)?;
+        let mut clock = LoopClock::new(Instant::now());
         loop {
             bell.wait(TICK);
+            let late = clock.turn(Instant::now());
+            if !late.is_zero() {
+                // Nobody was heard meanwhile, and nobody is to blame for that.
+                self.heard.values_mut().for_each(|heard| *heard += late);
+                supervisor.postpone_deadlines(late);
+            }
             while let Some(status) = words.try_receive()? {
                 self.hear(&status, gateway, supervisor, note);
             }
-            self.replace_the_dead(channels, supervisor, note)?;
+            self.replace_the_dead(clock.now(), channels, supervisor, note)?;
             match gateway.wait(Duration::ZERO) {
                 None | Some(Word::Joined(_)) => {}
                 Some(Word::Scale(workers)) => {
@@ -126,6 +134,7 @@ impl Host<'_> {
     /// Reaps the dead, kills the silent and starts successors; the gateway sends them what is left undone.
     fn replace_the_dead(
         &mut self,
+        now: Instant,
         channels: &Channels,
         supervisor: &mut Supervisor,
         note: &mut dyn FnMut(&str),
@@ -153,8 +162,8 @@ impl Host<'_> {
         let silent: Vec<_> = supervisor
             .running_since()
             .filter(|(worker, started)| match self.heard.get(worker) {
-                Some(heard) => heard.elapsed() > deadline,
-                None => started.elapsed() > deadline.max(START_DEADLINE),
+                Some(heard) => now.saturating_duration_since(*heard) > deadline,
+                None => now.saturating_duration_since(*started) > deadline.max(START_DEADLINE),
             })
             .map(|(worker, _)| worker)
             .collect();

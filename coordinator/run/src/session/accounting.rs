@@ -16,13 +16,36 @@ pub(super) struct StepAccounts {
     /// Env-steps that hosts made for comparison: those that were the same, and the others.
     compared: BTreeMap<u64, u64>,
     differing: BTreeMap<u64, u64>,
+    /// Of the last iterations that are over: what workers said they produced, and what of it stands in their accounts.
+    closed: BTreeMap<u64, Closed>,
+    /// Env-steps of blocks of which their workers spoke after their iteration was over, and that nobody took.
+    late: u64,
     /// Sums of this session.
     pub(super) totals: Totals,
 }
 
+#[derive(Debug)]
+struct Closed {
+    said: u64,
+    counted: u64,
+}
+
+/// Iterations that are over and of which workers may still speak.
+const KEPT: usize = 4;
+
 impl StepAccounts {
     /// A worker says that it has sent a block.
     pub(super) fn produced(&mut self, iteration: u64, env_steps: u64) {
+        if let Some(Closed { said, counted }) = self.closed.get_mut(&iteration) {
+            // Of a block that was trained on, its worker may speak late; of more than have come, one was made in vain.
+            *said += env_steps;
+            self.late += said.saturating_sub(*counted);
+            *counted = (*said).max(*counted);
+            return;
+        }
+        if self.closed.keys().next().is_some_and(|first| iteration < *first) {
+            return;
+        }
         *self.produced.entry(iteration).or_default() += env_steps;
     }
 
@@ -45,6 +68,9 @@ impl StepAccounts {
     /// trained on.
     pub(super) fn all_lost(&mut self, env_steps: u64) {
         let died: u64 = self.lost.values().chain(self.differing.values()).sum();
+        let died = died + std::mem::take(&mut self.late);
+        // They may be trained on again.
+        self.closed.clear();
         let compared: u64 = self.compared.values().sum();
         self.totals.produced += env_steps + died + compared;
         self.totals.received += env_steps + compared;
@@ -68,6 +94,12 @@ impl StepAccounts {
         // A worker that died between sending a block and saying so produced it all the same; one
         // that said so but whose block never arrived lost it.
         accounting.lost = died.max(said.saturating_sub(accounting.received));
+        let counted = said.max(accounting.received);
+        self.closed.insert(iteration, Closed { said, counted });
+        while self.closed.len() > KEPT {
+            self.closed.pop_first();
+        }
+        accounting.lost += std::mem::take(&mut self.late);
         // What was compared did not go by the learner.
         accounting.lost += self.differing.remove(&iteration).unwrap_or(0);
         let compared = self.compared.remove(&iteration).unwrap_or(0);
@@ -90,6 +122,37 @@ impl StepAccounts {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn closed(books: &mut StepAccounts, iteration: u64, received: u64) -> Accounting {
+        let mut report = IterationReport { iteration, ..IterationReport::default() };
+        let duplicate = received - 128;
+        report.accounting =
+            Accounting { received, trained: 128, duplicate, ..Accounting::default() };
+        books.close(&mut report, 128).expect("adds up");
+        report.accounting
+    }
+
+    #[test]
+    fn a_block_that_comes_when_its_iteration_is_over_is_lost_once() {
+        let mut books = StepAccounts::default();
+        // Four blocks are ordered, one of them twice; the learner has taken four when it trains.
+        books.produced(3, 96);
+        assert_eq!(closed(&mut books, 3, 128).lost, 0);
+        // A word about one that it has taken, then one about the copy.
+        books.produced(3, 32);
+        books.produced(3, 32);
+        let next = closed(&mut books, 4, 128);
+        assert_eq!((next.lost, next.produced), (32, 160));
+        // Of the copy its worker spoke in time.
+        books.produced(5, 160);
+        assert_eq!(closed(&mut books, 5, 128).lost, 32);
+        assert_eq!(closed(&mut books, 6, 128).lost, 0);
+        for iteration in 7..12 {
+            closed(&mut books, iteration, 128);
+        }
+        books.produced(3, 32);
+        assert!(books.produced.is_empty() && books.closed.len() == KEPT);
+    }
 
     #[test]
     fn what_hosts_made_for_comparison_is_a_duplicate_or_lost() {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use proto::Digest;
-use proto::message::{HostId, WorkerId, host_of};
+use proto::message::{Fault, HostId, Membership, WorkerId};
 use service::live::RefusedHost;
 
 use crate::auditor::Auditor;
@@ -17,10 +17,12 @@ pub(super) type BlockId = (WorkerId, u32, ShardAddress);
 pub(super) struct Pair {
     pub(super) here: Option<Result<Digest, String>>,
     pub(super) there: Option<Result<Digest, String>>,
+    /// What went wrong there, if the block was not for comparison: it counts unless it can be made here.
+    pub(super) fault: Option<Box<Fault>>,
 }
 
 /// Blocks of a host, and between which iterations they lie.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Span {
     pub(super) blocks: u64,
     pub(super) first: u64,
@@ -34,22 +36,33 @@ pub(super) struct Audits {
     pub(super) open: BTreeMap<BlockId, Pair>,
     /// Blocks that were the same, by host.
     pub(super) same: BTreeMap<HostId, u64>,
-    /// Blocks of a host that the learner has received since the last one that was the same.
-    pub(super) since: BTreeMap<HostId, Span>,
+    /// Blocks of a host that the learner has received since the last one of its machine that was the same.
+    since: BTreeMap<Membership, Span>,
     /// Names of hosts that are thrown out, and why.
     pub(super) refused: BTreeMap<String, String>,
 }
 
-impl Audits {
-    /// The learner has received a block, and will train on it.
-    pub(super) fn received(&mut self, worker: WorkerId, iteration: u64) {
-        if let Some(host) = host_of(worker) {
-            let none = Span { blocks: 0, first: iteration, last: iteration };
-            let span = self.since.entry(host).or_insert(none);
-            span.blocks += 1;
-            span.first = span.first.min(iteration);
-            span.last = span.last.max(iteration);
+impl Span {
+    fn and(self, other: Self) -> Self {
+        Self {
+            blocks: self.blocks + other.blocks,
+            first: self.first.min(other.first),
+            last: self.last.max(other.last),
         }
+    }
+}
+
+impl Audits {
+    /// The learner has received a block of a host, and will train on it.
+    pub(super) fn received(&mut self, host: Membership, iteration: u64) {
+        let one = Span { blocks: 1, first: iteration, last: iteration };
+        self.since.entry(host).and_modify(|span| *span = span.and(one)).or_insert(one);
+    }
+
+    /// Takes what the learner has received of a machine since the last block that was the same, whichever of its memberships
+    /// it came by.
+    pub(super) fn take_since(&mut self, memberships: &[Membership]) -> Option<Span> {
+        memberships.iter().filter_map(|host| self.since.remove(host)).reduce(Span::and)
     }
 
     /// A worker is no more: nothing will come of what it was to make. Whether anything of it was being compared.
@@ -59,11 +72,10 @@ impl Audits {
         self.open.len() < before
     }
 
-    /// Another gateway gives the numbers of hosts to others.
+    /// Another gateway gives the numbers of hosts to others. What has been trained on stays so.
     pub(super) fn forget_hosts(&mut self) {
         self.open.clear();
         self.same.clear();
-        self.since.clear();
     }
 
     /// Those that are thrown out, for the run's status.
@@ -73,5 +85,23 @@ impl Audits {
             reason: reason.clone(),
         };
         self.refused.iter().map(look).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_machine_answers_for_all_its_memberships() {
+        let mut audits = Audits::default();
+        for (host, iteration) in [((0, 1), 7), ((0, 1), 9), ((1, 1), 3), ((1, 2), 12)] {
+            audits.received(host, iteration);
+        }
+        audits.forget_hosts();
+        let span = |blocks, first, last| Some(Span { blocks, first, last });
+        assert_eq!(audits.take_since(&[(0, 1), (1, 2), (5, 5)]), span(3, 7, 12));
+        assert_eq!(audits.take_since(&[(0, 1), (1, 2)]), None);
+        assert_eq!(audits.take_since(&[(1, 1)]), span(1, 3, 3), "another machine's");
     }
 }

@@ -6,7 +6,9 @@
 //! learner drops what it has of it and has not begun to train on. What the learner has trained on since the last
 //! comparison that was good cannot be taken back; it is said.
 
-use proto::message::{HostId, Order, WorkerId, host_of, policy_version_for};
+use proto::message::{
+    Fault, Membership, Order, WorkerId, host_of, membership_of, policy_version_for,
+};
 use proto::{Digest, ExitError};
 
 use super::Session;
@@ -14,7 +16,6 @@ use super::audit_list::{BlockId, Pair, Span};
 use crate::auditor::Auditor;
 use crate::report::Reporter;
 use crate::scheduler::ShardAddress;
-use crate::supervisor::Supervisor;
 
 impl Session<'_> {
     /// A host has been ordered a block for comparison: it is made here, too.
@@ -47,6 +48,29 @@ impl Session<'_> {
         Ok(())
     }
 
+    /// A worker of a host cannot make a block that it was ordered. A machine that is broken is no reason to end the run: it is made
+    /// here, too, and counts as failed if that cannot be done either.
+    pub(super) fn doubt(
+        &mut self,
+        (worker, incarnation): (WorkerId, u32),
+        address: ShardAddress,
+        message: String,
+        fault: Box<Fault>,
+    ) -> Result<(), ExitError> {
+        if self.audits.open.contains_key(&(worker, incarnation, address)) {
+            return Ok(());
+        }
+        self.audit(worker, incarnation, address)?;
+        match self.audits.open.get_mut(&(worker, incarnation, address)) {
+            Some(pair) => {
+                pair.there = Some(Err(message));
+                pair.fault = Some(fault);
+                Ok(())
+            }
+            None => self.failures.failed(address, &message, Some(&fault)),
+        }
+    }
+
     /// A host has made a block for comparison, or says why it cannot. Whether it was to.
     pub(super) fn audited(
         &mut self,
@@ -70,11 +94,7 @@ impl Session<'_> {
     }
 
     /// Compares what has been made twice.
-    pub(super) fn compare(
-        &mut self,
-        supervisor: &Supervisor,
-        reporter: &mut Reporter,
-    ) -> Result<(), ExitError> {
+    pub(super) fn compare(&mut self, reporter: &mut Reporter) -> Result<(), ExitError> {
         let made = self.audits.auditor.as_ref().map(Auditor::made).unwrap_or_default();
         for (address, result) in made {
             let open = self.audits.open.iter_mut();
@@ -84,22 +104,24 @@ impl Session<'_> {
         }
         let whole = |_: &BlockId, pair: &mut Pair| pair.here.is_some() && pair.there.is_some();
         let whole: Vec<_> = self.audits.open.extract_if(.., whole).collect();
-        for ((worker, _, address), pair) in whole {
-            let (Some(host), Some(here), Some(there)) = (host_of(worker), pair.here, pair.there)
+        for ((worker, incarnation, address), pair) in whole {
+            let membership = membership_of(worker, incarnation);
+            let (Some(membership), Some(here), Some(there)) = (membership, pair.here, pair.there)
             else {
                 continue;
             };
+            let (_, host) = membership;
             let steps = self.steps_per_block;
             let iteration = address.0.max(self.reported);
             match (here, there) {
                 (Ok(here), Ok(there)) if here == there => {
                     self.books.compared(iteration, steps);
                     *self.audits.same.entry(host).or_default() += 1;
-                    self.audits.since.remove(&host);
+                    let name = self.hosts.name(membership);
+                    self.audits.take_since(&self.hosts.memberships(name));
                     if let Some(scheduler) = &mut self.scheduler
                         && scheduler.trust(host)
                     {
-                        let name = self.hosts.name(host);
                         reporter.note(&format!(
                             "host {host} ({name}) has made its first block, {}/{}, with the same bits as this machine",
                             address.0, address.1
@@ -107,9 +129,12 @@ impl Session<'_> {
                     }
                 }
                 // What cannot be made here cannot be made there: the failures of the run say more.
-                (Err(_), Err(_)) => {
+                (Err(_), Err(message)) => {
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.try_again(host);
+                    }
+                    if let Some(fault) = pair.fault {
+                        self.failures.failed(address, &message, Some(&fault))?;
                     }
                 }
                 (here, there) => {
@@ -127,7 +152,7 @@ impl Session<'_> {
                         shown(there),
                         shown(here)
                     );
-                    self.throw_out(host, &what, supervisor, reporter)?;
+                    self.throw_out(membership, &what, reporter)?;
                 }
             }
         }
@@ -137,16 +162,18 @@ impl Session<'_> {
     /// Has nothing to do any more with a host that makes other bits.
     fn throw_out(
         &mut self,
-        host: HostId,
+        membership: Membership,
         what: &str,
-        supervisor: &Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        let name = self.hosts.name(host).to_owned();
+        let (_, host) = membership;
+        let name = self.hosts.name(membership).to_owned();
         if self.audits.refused.contains_key(&name) {
             return Ok(());
         }
-        let since = self.audits.since.remove(&host);
+        // It may have come back under another number, and its blocks of before are no better.
+        let memberships = self.hosts.memberships(&name);
+        let since = self.audits.take_since(&memberships);
         // Those of an iteration that is being trained on count as trained on.
         let harm = match since.filter(|since| since.first <= self.reported) {
             Some(Span { blocks, first, last }) => format!(
@@ -159,12 +186,15 @@ impl Session<'_> {
         reporter.note(&format!(
             "warning: host {host} ({name}) {what}. It is thrown out and not taken back; {harm}"
         ));
+        self.hosts.reports.retain(|report| report.name != name);
         self.audits.refused.insert(name, format!("{what}; {harm}"));
-        let workers = self.hosts.workers.keys().copied();
-        let workers: Vec<_> = workers.filter(|worker| host_of(*worker) == Some(host)).collect();
+        let is_its = |(worker, incarnation): &(&WorkerId, &u32)| {
+            membership_of(**worker, **incarnation).is_some_and(|of| memberships.contains(&of))
+        };
+        let workers = self.hosts.workers.iter().filter(is_its).map(|(worker, _)| *worker);
+        let workers: Vec<_> = workers.collect();
         self.let_go(&workers);
-        self.hosts.reports.retain(|report| report.host != host);
-        if let Some(gateway) = supervisor.gateway_incarnation() {
+        for &(gateway, host) in &memberships {
             self.orders.send(Order::Discard { host, gateway })?;
         }
         self.refuse_hosts()

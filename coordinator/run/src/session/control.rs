@@ -50,9 +50,10 @@ impl Session<'_> {
                     if let Ok(before) = &answer
                         && *before != workers
                     {
+                        let name = self.hosts.reports.iter().find(|report| report.host == host);
                         reporter.note(&format!(
                             "host {host} ({}) is to have {} from now on, before {before}",
-                            self.hosts.name(host),
+                            name.map_or("unknown", |report| &report.name),
                             output::counted(workers as u64, "worker")
                         ));
                     }

@@ -2,14 +2,17 @@
 
 use std::time::{Duration, Instant};
 
-use proto::message::{IterationReport, Order, PortId, Progress, Status, Timing, WorkerId};
+use proto::message::{
+    IterationReport, Order, PortId, Progress, Status, Timing, WorkerId, host_of, membership_of,
+};
 use proto::{ExitCode, ExitError};
 use service::history::What;
 use store::checkpoint::Name;
 
 use super::order_queue::Addressee;
+use super::recovery::finish_deadline;
 use super::snapshots::{Evaluation, Phase};
-use super::{FINISH_DEADLINE, Session, StoppedBy};
+use super::{Session, StoppedBy};
 use crate::committer::Committed;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
@@ -78,7 +81,7 @@ impl Session<'_> {
                         scheduler.evaluation_done(chunk, now);
                     }
                     if let Some(deadline) = &mut self.finishing {
-                        *deadline = now + FINISH_DEADLINE;
+                        *deadline = now + finish_deadline(self.state_size);
                     }
                     if let Some(evaluated) = self.snapshots.played(chunk, errors) {
                         let wall_s = self.started.elapsed().as_secs_f64();
@@ -98,7 +101,11 @@ impl Session<'_> {
                         || self.hosts.has(worker, incarnation);
                     if is_current && let Some(scheduler) = &mut self.scheduler {
                         scheduler.give_back(worker, address, now);
-                        self.failures.failed(address, &message, Some(&fault))?;
+                        if host_of(worker).is_some() {
+                            self.doubt((worker, incarnation), address, message, fault)?;
+                        } else {
+                            self.failures.failed(address, &message, Some(&fault))?;
+                        }
                     }
                 }
                 Status::Hosts { incarnation, orders, refused, hosts } => {
@@ -169,11 +176,21 @@ impl Session<'_> {
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}
-                Progress::BlockReceived { iteration, shard, worker, duplicate, digest } => {
+                Progress::BlockReceived {
+                    iteration,
+                    shard,
+                    worker,
+                    incarnation,
+                    duplicate,
+                    digest,
+                } => {
                     if !duplicate {
-                        self.audits.received(worker, iteration);
+                        let host = membership_of(worker, incarnation);
+                        if let Some(host) = host {
+                            self.audits.received(host, iteration);
+                        }
                         let of_iteration = self.blocks.entry(iteration).or_default();
-                        of_iteration.insert(shard, (digest, worker));
+                        of_iteration.insert(shard, (digest, host));
                     }
                     self.failures.made((iteration, shard));
                     if let Some(scheduler) = &mut self.scheduler {
@@ -260,7 +277,7 @@ impl Session<'_> {
             workers: self.workers,
             restarts: supervisor.restarts() + self.learner_restarts,
             blocks,
-            hosts: self.hosts.shares(&makers),
+            hosts: self.hosts.shares(makers.into_iter().flatten()),
         };
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         let Timing { update_s, publish_s, digest_s, copy_s, .. } = report.timing;

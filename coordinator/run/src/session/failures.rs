@@ -12,6 +12,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use channels::ChannelError;
 use channels::{ArrayReceiver, ArraySample};
@@ -48,6 +49,8 @@ pub(super) struct Failures {
     layout: ActorLayout,
     attempts: BTreeMap<ShardAddress, u32>,
     policies: VecDeque<ArraySample<PolicyHeader>>,
+    /// A copy that outlives its sample, of the version that was asked for last.
+    copied: Option<(u64, Arc<[f32]>)>,
     receiver: ArrayReceiver<PolicyHeader>,
 }
 
@@ -64,6 +67,7 @@ impl Failures {
             layout: ActorLayout::new(config, dimensions),
             attempts: BTreeMap::new(),
             policies: VecDeque::new(),
+            copied: None,
             receiver,
         }
     }
@@ -79,15 +83,23 @@ impl Failures {
         Ok(())
     }
 
-    /// Parameters of a policy, if it is one of the newest.
-    pub(super) fn policy(&self, version: u64) -> Option<Vec<f32>> {
+    /// Parameters of a policy, if it is one of the newest. One that is asked for again is not copied again.
+    pub(super) fn policy(&mut self, version: u64) -> Option<Arc<[f32]>> {
+        if let Some((copied, policy)) = &self.copied
+            && *copied == version
+        {
+            return Some(Arc::clone(policy));
+        }
         let policy = self.policies.iter().find(|policy| policy.header().version == version)?;
-        Some(policy.payload().to_vec())
+        let policy: Arc<[f32]> = policy.payload().into();
+        self.copied = Some((version, Arc::clone(&policy)));
+        Some(policy)
     }
 
     /// Lets go of the policies of a learner that is no more.
     pub(super) fn forget_policies(&mut self) {
         self.policies.clear();
+        self.copied = None;
     }
 
     /// A block has been made, so nothing is wrong with it.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use proto::message::{HostId, HostReport, WorkerId, host_of};
+use proto::message::{HostId, HostReport, Membership, WorkerId};
 use service::live::HostStatus;
 
 use crate::scheduler::Scheduler;
@@ -15,8 +15,8 @@ pub(super) struct Hosts {
     pub(super) workers: BTreeMap<WorkerId, u32>,
     /// What the gateway said last.
     pub(super) reports: Vec<HostReport>,
-    /// What hosts call themselves, those that have gone included.
-    pub(super) names: BTreeMap<HostId, String>,
+    /// What hosts call themselves, those that have gone included, also with a gateway of before.
+    pub(super) names: BTreeMap<Membership, String>,
     /// How many workers a host is to have, where somebody has changed that.
     pub(super) wanted: BTreeMap<HostId, u32>,
     /// When the gateway was heard last; none if the one that runs now has not been.
@@ -42,14 +42,26 @@ impl Hosts {
     }
 
     /// What a host calls itself.
-    pub(super) fn name(&self, host: HostId) -> &str {
+    pub(super) fn name(&self, host: Membership) -> &str {
         self.names.get(&host).map_or("unknown", String::as_str)
     }
 
-    /// How many of the blocks of these workers each host has made, by the hosts' names.
-    pub(super) fn shares(&self, makers: &[WorkerId]) -> BTreeMap<String, u64> {
+    /// All memberships of machines that call themselves so.
+    pub(super) fn memberships(&self, name: &str) -> Vec<Membership> {
+        let of_name = self.names.iter().filter(|(_, other)| *other == name);
+        of_name.map(|(membership, _)| *membership).collect()
+    }
+
+    /// Nobody is there; names stay, for what they have made may have been trained on.
+    pub(super) fn forget(&mut self) -> Self {
+        let names = self.names.clone();
+        std::mem::replace(self, Self { names, ..Self::default() })
+    }
+
+    /// How many of these blocks, none of which is of this machine, each host has made, by the hosts' names.
+    pub(super) fn shares(&self, makers: impl Iterator<Item = Membership>) -> BTreeMap<String, u64> {
         let mut shares = BTreeMap::new();
-        for host in makers.iter().filter_map(|&worker| host_of(worker)) {
+        for host in makers {
             *shares.entry(self.name(host).to_owned()).or_default() += 1;
         }
         shares

@@ -12,7 +12,6 @@ use service::history::What;
 
 use super::Session;
 use super::events::employ;
-use super::host_list::Hosts;
 use super::order_queue::Addressee;
 use crate::report::Reporter;
 use crate::supervisor::{Cause, Supervisor};
@@ -36,7 +35,9 @@ impl Session<'_> {
         self.hosts.heard = Some(now);
         // The gateway may not have heard yet whom it is to refuse.
         hosts.retain(|host| !self.audits.refused.contains_key(&host.name));
-        self.hosts.names.extend(hosts.iter().map(|host| (host.host, host.name.clone())));
+        self.hosts
+            .names
+            .extend(hosts.iter().map(|host| ((incarnation, host.host), host.name.clone())));
         let there: BTreeMap<_, _> = hosts.iter().flat_map(|host| host.workers.clone()).collect();
         let reports = std::mem::replace(&mut self.hosts.reports, hosts);
         let is_gone =
@@ -126,7 +127,7 @@ impl Session<'_> {
     ) -> Result<(), ExitError> {
         let workers: Vec<_> = self.hosts.workers.keys().copied().collect();
         let open = self.let_go(&workers);
-        self.hosts = Hosts::default();
+        self.hosts.forget();
         self.audits.forget_hosts();
         if let Some(scheduler) = &mut self.scheduler {
             scheduler.forget_hosts();
@@ -141,7 +142,7 @@ impl Session<'_> {
     /// Everything starts anew, and hosts join again.
     pub(super) fn forget_hosts(&mut self) {
         self.audits.forget_hosts();
-        for worker in std::mem::take(&mut self.hosts).workers.into_keys() {
+        for worker in self.hosts.forget().workers.into_keys() {
             self.spec.live.tell(What::Left { worker: Some(worker) });
         }
     }

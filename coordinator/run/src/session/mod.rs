@@ -24,7 +24,6 @@ mod order_queue;
 mod recovery;
 mod reserved_memory;
 mod snapshots;
-mod stall_allowance;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -36,7 +35,7 @@ use channels::{
 use process::originals::Originals;
 use proto::config::Config;
 use proto::layout::Dimensions;
-use proto::message::{Order, Progress, Status, WorkerId};
+use proto::message::{Membership, Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use service::live::LiveRun;
@@ -51,9 +50,10 @@ use self::host_list::Hosts;
 use self::learner_deaths::LearnerDeaths;
 use self::monitor::Monitor;
 use self::order_queue::OrderQueue;
+use self::recovery::finish_deadline;
 use self::reserved_memory::ReservedMemory;
 use self::snapshots::Snapshots;
-use self::stall_allowance::{LoopClock, STANDSTILL};
+use crate::loop_clock::{LoopClock, STANDSTILL};
 use crate::preflight::checkpoint_size;
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
@@ -116,9 +116,6 @@ pub struct RunResult {
 
 /// How long the loop sleeps at most: bounds the time until a death is noticed.
 const TICK: Duration = Duration::from_millis(20);
-/// How long the end of a run may take without a step: from the request of the last snapshot to the committed checkpoint, and then from
-/// one piece of its evaluation to the next.
-const FINISH_DEADLINE: Duration = Duration::from_mins(5);
 /// How long a commit waits while somebody else has the lock of the store.
 const LOCK_TIME: Duration = Duration::from_mins(1);
 /// How long children may take to exit after [`Order::Stop`].
@@ -193,8 +190,8 @@ struct Session<'a> {
     snapshots: Snapshots,
     failures: Failures,
     books: StepAccounts,
-    /// Digests of the blocks that the learner has received and who made them, by iteration and shard.
-    blocks: BTreeMap<u64, BTreeMap<u32, (Digest, WorkerId)>>,
+    /// Digests of the blocks that the learner has received and the hosts that made them, by iteration and shard.
+    blocks: BTreeMap<u64, BTreeMap<u32, (Digest, Option<Membership>)>>,
     monitor: Monitor,
     /// Present while the learner is ready.
     scheduler: Option<Scheduler>,
@@ -390,7 +387,7 @@ impl<'a> Session<'a> {
         // Before the deaths: what a process said before it died still counts.
         self.hear_workers(supervisor, reporter)?;
         self.hear_learner(supervisor, reporter)?;
-        self.compare(supervisor, reporter)?;
+        self.compare(reporter)?;
         self.leave_resume_point(supervisor, reporter)?;
         self.collect_pieces(supervisor, reporter)?;
         self.hear_committer(reporter)?;
@@ -411,7 +408,8 @@ impl<'a> Session<'a> {
         let missed = self.orders.retry(|order| match order {
             Order::Snapshot => snapshots.is_awaited(),
             Order::Leave { worker, incarnation } => supervisor.is_leaving(*worker, *incarnation),
-            Order::Discard { gateway, .. } => supervisor.is_gateway(*gateway),
+            // Also what came by a gateway of before.
+            Order::Discard { .. } => true,
             order => scheduler.awaits(order),
         })?;
         self.monitor.orders_missed += missed as u64;
@@ -465,7 +463,7 @@ impl<'a> Session<'a> {
     /// Has the final state committed and evaluated; returns its directory once that is done.
     fn finish(&mut self, reporter: &mut Reporter) -> Result<Option<PathBuf>, ExitError> {
         let Some(deadline) = self.finishing else {
-            self.finishing = Some(self.attention.now() + FINISH_DEADLINE);
+            self.finishing = Some(self.attention.now() + finish_deadline(self.state_size));
             self.snapshots.ask(self.reported);
             return Ok(None);
         };
@@ -478,7 +476,7 @@ impl<'a> Session<'a> {
         if self.attention.now() <= deadline {
             return Ok(None);
         }
-        let waited = FINISH_DEADLINE.as_secs();
+        let waited = finish_deadline(self.state_size).as_secs();
         let Some(checkpoint) = self.snapshots.settled_unevaluated_at(self.reported) else {
             let message = format!("no final checkpoint after {waited} s");
             return Err(ExitError::new(ExitCode::Child, message));

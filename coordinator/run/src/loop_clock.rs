@@ -1,4 +1,4 @@
-//! What no deadline may count: time in which the loop of the run itself stood still.
+//! What no deadline may count: time in which the loop that watches over processes stood still itself.
 //!
 //! A coordinator that was stopped with Ctrl-Z, whose machine was asleep or whose disk stood still hears
 //! nobody meanwhile, and nobody is to blame for that. So the loop looks at the clock once a turn, judges
@@ -9,27 +9,27 @@ use std::time::{Duration, Instant};
 /// Longest turn of the loop that is none to speak of.
 const ON_TIME: Duration = Duration::from_millis(200);
 /// A turn that is worth a word in the log.
-pub(super) const STANDSTILL: Duration = Duration::from_secs(2);
+pub(crate) const STANDSTILL: Duration = Duration::from_secs(2);
 
 /// When the loop looked at the clock last.
 #[derive(Debug)]
-pub(super) struct LoopClock {
+pub(crate) struct LoopClock {
     now: Instant,
 }
 
 impl LoopClock {
-    pub(super) fn new(now: Instant) -> Self {
+    pub(crate) fn new(now: Instant) -> Self {
         Self { now }
     }
 
     /// The time by which this turn judges.
-    pub(super) fn now(&self) -> Instant {
+    pub(crate) fn now(&self) -> Instant {
         self.now
     }
 
     /// A turn begins. Returns by how much the deadlines move: never by all of the turn, so that they
     /// also come in a loop that is always slow.
-    pub(super) fn turn(&mut self, now: Instant) -> Duration {
+    pub(crate) fn turn(&mut self, now: Instant) -> Duration {
         let turn = now.saturating_duration_since(self.now);
         self.now = now;
         turn.saturating_sub(ON_TIME)
