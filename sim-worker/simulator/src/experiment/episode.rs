@@ -72,6 +72,8 @@ struct Course {
     effects: Vec<Happening>,
     sensors: SensorNoise,
     base_mass: Option<f64>,
+    /// The step from which on the present goal postures are told.
+    told: usize,
     /// What the last step ended with.
     pushes: Vec<Push<f32>>,
     torques: Vec<f32>,
@@ -150,7 +152,8 @@ impl Episode {
         group.state = state;
         group.goals = goals;
         for errors in [&mut group.errors, &mut group.seen_errors] {
-            errors.forget();
+            // Who moves an arm tells them anew.
+            errors.postures = None;
         }
         group.action.fill(0.0);
         group.command.fill(0.0);
@@ -179,6 +182,7 @@ impl Episode {
             self.members[at] = member;
         }
         self.stepper.seat(&players(&self.members));
+        self.read();
         Ok(at)
     }
 
@@ -201,6 +205,7 @@ impl Episode {
             }
         }
         self.stepper.seat(&players(&self.members));
+        self.read();
         Ok(())
     }
 
@@ -299,7 +304,6 @@ impl Episode {
         self.members = members.iter().cloned().chain(came_later).collect();
         self.stepper.envs = addresses(start).0;
         self.stepper.groups[0].clone_from(group);
-        // Who came later may know goal postures that nobody knew at this moment.
         self.stepper.seat(&players(&self.members));
         self.start = start.clone();
         self.course = course.clone();
@@ -320,9 +324,9 @@ impl Episode {
         Ok(())
     }
 
-    /// Goals that are set and arms that are given to players one after the other, before anything moves, are one question.
+    /// Goals that are set and arms that are given to players one after the other, before anything moves since goal postures are told, are one question.
     fn ask_at_the_beginning(&mut self) {
-        if self.course.step == 0 {
+        if self.course.told == self.course.step {
             let group = &mut self.stepper.groups[0];
             group.errors.forget();
             group.seen_errors.forget();
@@ -330,7 +334,9 @@ impl Episode {
     }
 
     fn read(&mut self) {
-        self.stepper.assign(&players(&self.members), &self.course.players());
+        if self.stepper.assign(&players(&self.members), &self.course.players()) {
+            self.course.told = self.course.step;
+        }
         f32::compiled(Read(&mut self.stepper));
     }
 
@@ -439,6 +445,7 @@ impl Course {
             effects: Vec::new(),
             sensors: SensorNoise::NONE,
             base_mass: None,
+            told: 0,
             pushes: Vec::new(),
             torques: vec![0.0; joints.n_joints()],
         }
@@ -515,7 +522,9 @@ impl Kernel<f32> for OneStep<'_> {
         let limp: Vec<Effect> = limp.map(|(arm, _)| Effect::Limp { arm }).collect();
         course.effects.retain(|happening| happening.until > step);
         let effects = course.effects.iter().map(|happening| &happening.effect).chain(&limp);
-        stepper.assign(&players, &arms);
+        if stepper.assign(&players, &arms) {
+            stepper.read();
+        }
         stepper.think(&players, &arms, &course.sensors, step)?;
         stepper.advance(&players, &arms, &effects, step)?;
         course.step += 1;

@@ -10,7 +10,6 @@ use super::seat::{Seat, Seen};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::robot::{Joints, Robot};
-use crate::rollout::World;
 use crate::scalar::Real;
 use crate::state::State;
 use crate::step::{Disturbance, StepOptions};
@@ -78,31 +77,31 @@ impl<S: Real> Stepper<S> {
         stepper
     }
 
-    /// Makes room for what other players see and say. Goal postures are those of the robot that a player knows, which may not be the one that moves;
-    /// of several players the last one that knows any says how they are gone to.
+    /// Makes room for what other players see and say.
     pub(super) fn seat(&mut self, players: &[Player<'_>]) {
         let n_groups = self.groups.len();
-        for group in &mut self.groups {
-            for errors in [&mut group.errors, &mut group.seen_errors] {
-                for player in players.iter().rev() {
-                    let World { task, robot, .. } = player.world;
-                    if errors.tell(task, robot) {
-                        break;
-                    }
-                }
-            }
-        }
         self.seats = players.iter().map(|player| Seat::new(player, n_groups)).collect();
     }
 
-    /// Has the players of `arms`, an entry an arm, move them from now on.
-    pub(super) fn assign(&mut self, players: &[Player<'_>], arms: &[Option<usize>]) {
+    /// Has the players of `arms`, an entry an arm, move them from now on. Goal postures are those of the robot that a player knows, which may not be the
+    /// one that moves; of several players that move arms the last one that knows any says how they are gone to. Whether these are others than before: they
+    /// have not been read then.
+    pub(super) fn assign(&mut self, players: &[Player<'_>], arms: &[Option<usize>]) -> bool {
+        let knows = |(number, player): &(usize, &Player<'_>)| {
+            arms.contains(&Some(*number)) && player.world.task.knows_postures()
+        };
+        let teller = players.iter().enumerate().rfind(knows);
+        let mut are_others = false;
         for group in &mut self.groups {
             for errors in [&mut group.errors, &mut group.seen_errors] {
+                if let Some((_, player)) = teller {
+                    are_others |= errors.tell(&player.world.task, &player.world.robot);
+                }
                 let go = |arm: &Option<usize>| arm.is_some_and(|p| players[p].goes_to_postures());
                 errors.activate(arms.iter().map(go));
             }
         }
+        are_others
     }
 
     /// Reads everything off the robot: readings, errors, what touches.

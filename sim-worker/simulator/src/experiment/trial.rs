@@ -3,7 +3,7 @@
 use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::Purpose;
 
-use super::event::{Control, Event, GoalPurpose, Script, Start, TimedEvent};
+use super::event::{Control, Event, GoalPurpose, LONGEST_DELAY, Script, Start, TimedEvent};
 use super::{FixedGoals, Intervention, SensorNoise};
 use crate::controller::JacobianController;
 use crate::env::step_options;
@@ -137,7 +137,7 @@ impl<'a> Trial<'a> {
     }
 
     /// An episode of it as a script that plays the same; none where that cannot say what happens: arms of another mass, actions of
-    /// another scale, another integration, a controller instead of a policy.
+    /// another scale, another integration, a controller instead of a policy, commands that come later than a script may have them.
     pub fn script(&self, episode: u32) -> Option<Script> {
         let Player { world, .. } = self.players[0];
         let as_trained = |player: &Player<'_>| {
@@ -152,6 +152,9 @@ impl<'a> Trial<'a> {
             Purpose::Goal => GoalPurpose::Training,
             _ => return None,
         };
+        if self.delay > LONGEST_DELAY {
+            return None;
+        }
         let mut events = Vec::new();
         let mut at = |step: usize, event: Event| events.push(TimedEvent { step, event });
         if *self.robot != world.robot {

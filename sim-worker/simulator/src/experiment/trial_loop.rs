@@ -43,7 +43,9 @@ impl LaneFn for Play<'_, '_> {
                 break;
             }
             let arms = &trial.phase(step).arms;
-            stepper.assign(players, arms);
+            if stepper.assign(players, arms) {
+                stepper.read();
+            }
             stepper.think(players, arms, &trial.sensors, step)?;
             let happening = interventions.iter().filter(|happens| happens.steps.contains(&step));
             let effects = happening.map(|happens| &happens.effect);

@@ -38,6 +38,11 @@ pub struct Task {
 }
 
 impl Task {
+    /// Whether its agents know goal postures.
+    pub fn knows_postures(&self) -> bool {
+        self.posture.seen || self.posture.gain > 0.0
+    }
+
     /// The task of `config` on a robot with this home pose.
     pub fn new(config: &proto::config::Config, home: Home) -> Self {
         let task = &config.task;

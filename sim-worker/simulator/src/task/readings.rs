@@ -156,22 +156,23 @@ impl<S: Real> Errors<S> {
         said.iter().enumerate().map(clipped).collect()
     }
 
-    /// Has the goal postures that `task` tells be known, instead of others; says whether it tells any.
+    /// Has the goal postures that `task` tells, if it does, be known instead of others; says whether these were not known before.
     pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) -> bool {
-        let proto::config::Posture { seen, gain, trust, .. } = task.posture;
-        let tells = seen || gain > 0.0;
-        if tells {
-            let limit = |limit: &f64| S::splat(limit * task.action_scale);
-            let pace = Pace {
-                gain: if gain > 0.0 { gain } else { UNGUIDED },
-                period: task.control_period,
-                limits: task.action_limit.iter().map(limit).collect(),
-            };
-            if !self.postures.as_ref().is_some_and(|postures| postures.are(&pace, trust)) {
-                self.postures = Some(Postures::new(robot, pace, trust));
-            }
+        if !task.knows_postures() {
+            return false;
         }
-        tells
+        let proto::config::Posture { gain, trust, .. } = task.posture;
+        let limit = |limit: &f64| S::splat(limit * task.action_scale);
+        let pace = Pace {
+            gain: if gain > 0.0 { gain } else { UNGUIDED },
+            period: task.control_period,
+            limits: task.action_limit.iter().map(limit).collect(),
+        };
+        if self.postures.as_ref().is_some_and(|postures| postures.are(&pace, trust)) {
+            return false;
+        }
+        self.postures = Some(Postures::new(robot, pace, trust));
+        true
     }
 
     /// Forgets where the base was, because nobody looked at it for a while.

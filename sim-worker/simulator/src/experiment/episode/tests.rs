@@ -188,6 +188,57 @@ fn who_is_seated_later_plays_as_if_it_had_been_alone() {
     assert_ne!(rows(vec![guided], 0), alone);
 }
 
+/// Live it is seated when it comes; in a replay and in a trial it sits there from the start. Goal postures are told when it moves an arm, and no sooner.
+#[test]
+fn who_comes_later_plays_as_in_a_replay_where_it_sits_from_the_start() {
+    let guided = world_of(Preset::Guided, TaskName::Trajectory, &paper());
+    let guided = Arc::new(Member { policy: policy(&guided), world: guided });
+    let (first, steps, late) = (member(TaskName::Reorientation), 30, 4);
+    let poses = {
+        let both = Episode::new(vec![first.clone(), guided.clone()], start()).expect("an episode");
+        both.goals().hands.iter().map(|goal| goal.map(f64::from)).collect::<Vec<_>>()
+    };
+    let goals = poses.iter().enumerate().map(|(arm, &pose)| Event::HandGoal { arm, pose });
+    let arms = (0..4).map(|arm| Event::Arm { arm, control: Control::Policy(1) });
+    let events: Vec<_> = goals.chain(arms).collect();
+
+    let mut live = Episode::new(vec![first.clone()], start()).expect("an episode");
+    let mut lived = vec![row(&live)];
+    for step in 0..steps {
+        if step == late {
+            assert_eq!(live.seat(None, guided.clone()), Ok(1));
+            events.iter().for_each(|event| live.apply(event).expect("it may happen"));
+        }
+        live.step().expect("a step");
+        lived.push(row(&live));
+    }
+    // An episode in which it had played before begins anew as well.
+    let members = vec![first, guided];
+    let script = Script {
+        start: start(),
+        steps,
+        events: events.iter().map(|event| timed(late, event.clone())).collect(),
+    };
+    let mut again = Episode::new(members.clone(), start()).expect("an episode");
+    for _ in 0..2 {
+        let mut rows = Vec::new();
+        again.play(&script, &mut |episode| rows.push(row(episode))).expect("it plays");
+        for step in late..=steps {
+            assert_eq!(rows[step][24..], lived[step][24..], "the state after {step} steps");
+        }
+    }
+    let mut trial = Trial::new(members[0].player(), 5, 5, steps);
+    trial.players = members.iter().map(|member| member.player()).collect();
+    trial.phases = vec![
+        Phase { from: 0, arms: vec![Some(0); 4] },
+        Phase { from: late, arms: vec![Some(1); 4] },
+    ];
+    let recording = play(&trial, &InOrder, &|| {}).expect("a recording");
+    for step in late..steps {
+        assert_eq!(row_of(&recording, INDEX as usize, step), lived[step + 1], "step {step}");
+    }
+}
+
 #[test]
 fn time_goes_back_and_comes_again_the_same() {
     let mut episode = Episode::new(both(), start()).expect("an episode");
