@@ -89,6 +89,11 @@ impl PlannedRun {
     /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
     /// with other settings or another robot.
     pub(crate) fn check(&self) -> anyhow::Result<()> {
+        self.check_with(&[])
+    }
+
+    /// The same where some harmless keys of group `run` matter, too.
+    pub(crate) fn check_with(&self, also: &[&str]) -> anyhow::Result<()> {
         if !self.has_begun()? {
             return Ok(());
         }
@@ -107,7 +112,9 @@ impl PlannedRun {
         let (found, wanted) = (keys(&found)?, keys(&wanted)?);
         let matters = |key: &String| {
             let of_run = key.strip_prefix("run.");
-            !of_run.is_some_and(|key| key == "device" || Run::HARMLESS.contains(&key))
+            !of_run.is_some_and(|key| {
+                key == "device" || Run::HARMLESS.contains(&key) && !also.contains(&key)
+            })
         };
         let differs = |key: &&String| matters(key) && found.get(*key) != wanted.get(*key);
         if let Some(key) = found.keys().chain(wanted.keys()).find(differs) {

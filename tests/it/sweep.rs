@@ -441,6 +441,37 @@ fn a_trial_that_fails_is_recorded_and_the_others_go_on() {
     assert!(trials[0]["failure"].as_str().expect("a reason").contains("cuda"), "{shown}");
 }
 
+/// Nobody waits at a rung for a trial that cannot be scored there.
+#[test]
+fn a_trial_that_cannot_be_begun_leaves_its_place_to_others() {
+    let sweep =
+        Sweep::new(&HALVED.replace("seeds = [1, 2]", "seeds = [1]").replace(", 1e-5, 1e-2", ""));
+    for call in ["--trial=1", "--trial=2"] {
+        sweep.succeed(&[call]);
+    }
+    let names = ["actor_lr=0.001,seed=1", "actor_lr=0.0001,seed=1"];
+    std::fs::remove_file(sweep.out().join(format!("records/{}.json", names[0]))).expect("removed");
+    let checkpoint = sweep.trial(names[0]).join("checkpoints/iteration-00000003");
+    let files = std::fs::read_dir(checkpoint).expect("a checkpoint").flatten();
+    let largest = files.max_by_key(|file| file.metadata().map_or(0, |file| file.len()));
+    let largest = largest.expect("files").path();
+    let mut bytes = std::fs::read(&largest).expect("a file");
+    *bytes.last_mut().expect("a byte") ^= 1;
+    std::fs::write(&largest, bytes).expect("written");
+    let output = sweep.call(&["--json"]);
+    refused(&output, 1, &["1 of 2 trials failed", names[0]]);
+    let outcome: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(trial(&outcome, names[0])["state"], "failed", "{outcome}");
+    let other = trial(&outcome, names[1]);
+    assert_eq!((&other["state"], &other["iterations"]), (&"done".into(), &12.into()), "{other}");
+    // What rungs compare is the same in all trials, also in those that are added.
+    let text = std::fs::read_to_string(sweep.file()).expect("a file");
+    let longer = text.replace("run.evaluation_steps = 8", "run.evaluation_steps = 9");
+    assert_ne!(longer, text);
+    std::fs::write(sweep.file(), longer).expect("written");
+    refused(&sweep.call(&[]), 5, &["is a run already", "run.evaluation_steps"]);
+}
+
 /// Scores lie beside the runs. Those of a run that is gone say nothing of the one that takes its place.
 #[test]
 fn a_trial_whose_run_was_removed_is_trained_and_scored_anew() {

@@ -106,9 +106,8 @@ impl<'a> Drive<'a> {
                 }
                 heeded = asked;
             }
-            if heeded == 0 {
-                self.start()?;
-            }
+            // A trial that cannot even be begun leaves its place to others.
+            while heeded == 0 && self.start()? {}
             // A score that is under way is made again.
             if self.work.is_empty() || (heeded > 0 && !self.is_training()) {
                 return Ok(if heeded > 0 { Ended::Stopped } else { Ended::Idle });
@@ -137,14 +136,14 @@ impl<'a> Drive<'a> {
         }
     }
 
-    /// Begins what there is room for.
-    fn start(&mut self) -> anyhow::Result<()> {
+    /// Begins what there is room for; says whether a trial has failed at that, so that others may have their turn.
+    fn start(&mut self) -> anyhow::Result<bool> {
         if self.work.len() == self.slots.count() {
-            return Ok(());
+            return Ok(false);
         }
         if let Some(only) = self.only {
             if !self.work.is_empty() {
-                return Ok(());
+                return Ok(false);
             }
             // Others may have been scored meanwhile.
             let own = std::mem::take(&mut self.records[only]);
@@ -153,6 +152,7 @@ impl<'a> Drive<'a> {
         }
         let next = self.plan.study.next(&self.records, |trial| self.has_failed(trial));
         self.tell(&next);
+        let mut has_failed = false;
         for (trial, next) in next.into_iter().enumerate() {
             let Next::Rung(rung) = next else { continue };
             let is_under_way = self.work.iter().any(|work| work.trial == trial);
@@ -163,10 +163,13 @@ impl<'a> Drive<'a> {
             let Some(slot) = (0..self.slots.count()).find(|slot| !taken(slot)) else { break };
             match self.begin(trial, rung, slot) {
                 Ok(kind) => self.work.push(Work { trial, slot, kind }),
-                Err(error) => self.fail(trial, &errors::told(&error))?,
+                Err(error) => {
+                    self.fail(trial, &errors::told(&error))?;
+                    has_failed = true;
+                }
             }
         }
-        Ok(())
+        Ok(has_failed)
     }
 
     /// Says who goes on no further.

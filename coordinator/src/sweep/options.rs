@@ -20,9 +20,9 @@ A file says what is tried:
   [grid]                         # every combination; [[trials]] for a list
   algorithm.gamma = [0.93, 0.95]
   optimizer.actor_lr = [3e-4, 5e-4]
-  [halving]                      # at these shares of the budget the better
-  rungs = [0.25, 0.5]            # half of the configurations go on
-  reduction = 2
+  [halving]                      # drops configurations on the way:
+  rungs = [0.25, 0.5]            # after these shares of the budget
+  reduction = 2                  # the best half goes on
 
 It may also say task, preset, algorithm and config, as `octopus train` takes them, [set] with keys \
 of all trials, jobs, and [evaluation] with episodes, steps and seed of the evaluation at the end.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use lab::evaluation::check_recorded;
 use lab::sweep::study::{Study, Trial};
 use proto::config::{Config, Preset};
 use proto::{ExitCode, ExitError};
@@ -43,6 +44,8 @@ impl Plan {
         let mut configurations: Vec<String> = Vec::new();
         let mut names: BTreeMap<String, String> = BTreeMap::new();
         let mut processors = 1;
+        // Episodes, and control steps of each, by which trials are scored at rungs.
+        let mut at_rungs = None;
         for (index, keys) in file.configurations.iter().enumerate() {
             let label = short.label(keys);
             if configurations.contains(&label) {
@@ -80,6 +83,17 @@ impl Plan {
                     );
                     return Err(refuse(what).into());
                 }
+                if file.halving.is_some() {
+                    let evaluated = [config.run.evaluation_episodes, config.run.evaluation_steps];
+                    let evaluated = evaluated.map(u64::from);
+                    if *at_rungs.get_or_insert(evaluated) != evaluated {
+                        let what = format!(
+                            "trial {whole}: run.evaluation_episodes and run.evaluation_steps must be the same in all trials, as rungs \
+                             compare what they give; say them in [set]"
+                        );
+                        return Err(refuse(what).into());
+                    }
+                }
                 processors = processors.max(needed(&config));
                 let planned = config.planned_iterations();
                 let at = |share: &f64| rung(*share, planned);
@@ -105,6 +119,16 @@ impl Plan {
             }
         }
         check_alike(&runs, &trials, &configurations).map_err(refuse)?;
+        let at_end = Some([file.evaluation.episodes, file.evaluation.steps]);
+        let scored = [
+            (at_end, "evaluation.episodes or evaluation.steps"),
+            (at_rungs, "run.evaluation_episodes or run.evaluation_steps in [set]"),
+        ];
+        for (evaluated, asked) in scored {
+            let Some([episodes, steps]) = evaluated else { continue };
+            check_recorded(episodes as usize, steps as usize, asked)
+                .map_err(|error| refuse(error.message))?;
+        }
         let reduction = file.halving.as_ref().map_or(1.0, |halving| halving.reduction);
         let study = Study { text: file.text.clone(), configurations, trials, reduction };
         Ok(Self { file, study, runs, processors })
@@ -348,6 +372,18 @@ mod tests {
             ("[grid]\nrun.workers = [1, 0]", "trial workers=0, seed=1: run.workers = 0 leaves"),
             ("[set]\nrobot.description = \"none.toml\"", "none.toml"),
             ("config = \"none.toml\"", "none.toml"),
+            (
+                "[evaluation]\nepisodes = 1000000\nsteps = 1000",
+                "ask for fewer by evaluation.episodes or evaluation.steps",
+            ),
+            (
+                "iterations = 9\n[halving]\nrungs = [0.5]\n[set]\nrun.evaluation_episodes = 10000\nrun.evaluation_steps = 10000",
+                "ask for fewer by run.evaluation_episodes or run.evaluation_steps in [set]",
+            ),
+            (
+                "iterations = 9\n[halving]\nrungs = [0.5]\n[grid]\nrun.evaluation_steps = [50, 200]",
+                "must be the same in all trials",
+            ),
         ] {
             let error = plan(text).expect_err(text);
             assert_eq!(errors::exit_code(&error), ExitCode::BadInput, "{text}: {error}");

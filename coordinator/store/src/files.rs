@@ -1,14 +1,20 @@
 //! Durable writing of small files: a reader finds the old content or the new, never a part.
 //!
-//! Temporary files have names of our own, not of the crate `tempfile`: they say what is written and by which process,
-//! so that what a killed one has left is known for that and removed.
+//! Temporary files have names of our own, not of the crate `tempfile`: they say what is written and by which process of which
+//! machine, so that what a killed one has left is known for that and removed, and nothing that another machine still writes.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Write as _};
+use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::time::Duration;
 
 use proto::{ExitCode, ExitError};
+
+/// How long another machine may take to write a file: of what is older nobody writes any more.
+const LONGEST_WRITE: Duration = Duration::from_hours(24);
 
 /// Replaces the content of `path`: temporary file beside it, fsync, rename, fsync of the directory.
 pub fn replace(path: &Path, content: &[u8]) -> Result<(), ExitError> {
@@ -111,7 +117,18 @@ pub fn create_directory(path: &Path, files: &[(&str, &[u8])]) -> Result<(), Exit
 pub fn temporary(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     sweep_where(parent(path), |begun| begun == name);
-    path.with_file_name(format!(".{name}.{}.tmp", std::process::id()))
+    path.with_file_name(format!(".{name}.{}-{}.tmp", std::process::id(), numbering()))
+}
+
+/// Among which processes a number is one of a kind: those of this machine since it started, and of this container.
+fn numbering() -> &'static str {
+    static NUMBERING: OnceLock<String> = OnceLock::new();
+    NUMBERING.get_or_init(|| {
+        let start = std::fs::read("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+        let container = std::fs::read_link("/proc/self/ns/pid").unwrap_or_default();
+        let hash = blake3::hash(&[&start, container.as_os_str().as_bytes()].concat());
+        hash.to_hex()[..8].to_owned()
+    })
 }
 
 /// Like [`temporary`], of a directory that is to be made. Nothing is there: in containers numbers of processes come again, and with them what one
@@ -139,14 +156,14 @@ fn sweep_where(directory: &Path, is_meant: impl Fn(&str) -> bool) {
     let uid = rustix::process::getuid().as_raw();
     for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
         let name = entry.file_name();
-        let Some((begun, pid)) = name.to_str().and_then(parse_temporary) else { continue };
-        if !is_meant(begun) || Path::new("/proc").join(pid.to_string()).exists() {
-            continue;
-        }
+        let Some((begun, writer)) = name.to_str().and_then(parse_temporary) else { continue };
         // Of a link what it is itself.
         let Some(there) = entry.metadata().ok().filter(|there| there.uid() == uid) else {
             continue;
         };
+        if !is_meant(begun) || writer.may_live(&there) {
+            continue;
+        }
         let _ = match there {
             there if there.is_file() => std::fs::remove_file(entry.path()),
             there if there.is_dir() => std::fs::remove_dir_all(entry.path()),
@@ -160,11 +177,35 @@ pub fn replaced(name: &str) -> Option<&str> {
     parse_temporary(name).map(|(begun, _)| begun)
 }
 
+/// Who was to replace a file.
+struct Writer<'a> {
+    pid: u32,
+    /// None if an older program wrote the name.
+    numbering: Option<&'a str>,
+}
+
+impl Writer<'_> {
+    /// Whether it may still write what is `there`.
+    fn may_live(&self, there: &Metadata) -> bool {
+        match self.numbering {
+            Some(other) if other != numbering() => {
+                let age = there.modified().ok().and_then(|modified| modified.elapsed().ok());
+                age.is_none_or(|age| age < LONGEST_WRITE)
+            }
+            _ => Path::new("/proc").join(self.pid.to_string()).exists(),
+        }
+    }
+}
+
 /// Of a name that [`temporary`] gave: that of the file to be replaced, and who was to replace it.
-fn parse_temporary(name: &str) -> Option<(&str, u32)> {
-    let (begun, pid) = name.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.')?;
+fn parse_temporary(name: &str) -> Option<(&str, Writer<'_>)> {
+    let (begun, writer) = name.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.')?;
+    let (pid, numbering) = match writer.split_once('-') {
+        Some((pid, numbering)) => (pid, Some(numbering)),
+        None => (writer, None),
+    };
     let pid = pid.parse().ok().filter(|_| pid.bytes().all(|byte| byte.is_ascii_digit()))?;
-    (!begun.is_empty()).then_some((begun, pid))
+    (!begun.is_empty()).then_some((begun, Writer { pid, numbering }))
 }
 
 fn parent(path: &Path) -> &Path {
@@ -232,6 +273,27 @@ mod tests {
     }
 
     #[test]
+    fn what_another_machine_writes_stays_for_a_day() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let [new, old] =
+            [1, 2].map(|pid| dir.path().join(format!(".sweep.toml.{pid}-0badcafe.tmp")));
+        let own = dir.path().join(format!(".sweep.toml.{}-{}.tmp", dead(), numbering()));
+        for path in [&new, &old, &own] {
+            std::fs::write(path, "a part").expect("writable");
+        }
+        let long_ago = std::time::SystemTime::now() - 2 * LONGEST_WRITE;
+        let file = File::options().write(true).open(&old).expect("there");
+        file.set_modified(long_ago).expect("own file");
+        sweep(dir.path());
+        assert_eq!([&new, &old, &own].map(|path| path.exists()), [true, false, false]);
+        let name = new.file_name().and_then(|name| name.to_str()).expect("a name");
+        assert_eq!(replaced(name), Some("sweep.toml"));
+        let next = temporary(&dir.path().join("sweep.toml"));
+        let name = next.file_name().and_then(|name| name.to_str()).expect("a name");
+        assert_eq!(replaced(name), Some("sweep.toml"), "{name}");
+    }
+
+    #[test]
     fn a_directory_is_made_whole_beside_nothing() {
         let dir = tempfile::tempdir().expect("tempdir");
         let place = dir.path().join("made");
@@ -240,7 +302,7 @@ mod tests {
         let again = create_directory(&place, &[("a", b"3")]).expect_err("it is there");
         assert_eq!(again.code, ExitCode::RunDirectory, "{again}");
         assert_eq!(std::fs::read(place.join("a")).expect("there"), b"1");
-        let begun = dir.path().join(format!(".next.{}.tmp", std::process::id()));
+        let begun = temporary(&dir.path().join("next"));
         std::fs::create_dir(&begun).expect("made");
         std::fs::write(begun.join("c"), "a part").expect("writable");
         let next = dir.path().join("next");

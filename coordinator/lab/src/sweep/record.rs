@@ -39,12 +39,11 @@ impl Record {
 
     fn try_of(path: &Path, run: &Path) -> Result<Self, ExitError> {
         let mut record = Self::read(path)?;
-        if !record.scores.is_empty() {
-            let recorded = Recorded::read(&RunDir::new(run))?;
-            record
-                .scores
-                .retain(|scored| recorded.digest_after(scored.iteration) == Some(scored.digest));
-        }
+        // Also of a trial that has no score yet: it could not go on, and would be taken for one that failed.
+        let recorded = Recorded::read(&RunDir::new(run))?;
+        record
+            .scores
+            .retain(|scored| recorded.digest_after(scored.iteration) == Some(scored.digest));
         Ok(record)
     }
 
@@ -138,6 +137,9 @@ mod tests {
         assert!(!Record::of(&path, &run).damaged);
         std::fs::create_dir(&run).expect("made");
         std::fs::write(RunDir::new(&run).metrics_jsonl(), "{}\n").expect("written");
+        damaged("metrics.jsonl: line 1");
+        // Before it has a score, too.
+        std::fs::remove_file(&path).expect("removed");
         damaged("metrics.jsonl: line 1");
     }
 
