@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lab::contender::Contender;
-use lab::evaluation::{check_recorded, evaluate_on};
+use lab::evaluation::{EPISODES_OR_STEPS, check_recorded, evaluate_on};
 use lab::goals::{self, OwnGoals};
 use lab::identity::ControllerName;
 use lab::trained::{Trained, open_checkpoint};
@@ -104,7 +104,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         None => args.episodes.unwrap_or(30),
     };
     let (seed, episodes, steps) = (args.seed, episodes as usize, args.steps as usize);
-    check_recorded(episodes, steps)?;
+    check_recorded(episodes, steps, EPISODES_OR_STEPS)?;
     if let Some(path) = &args.save_goals {
         let mut inputs: Vec<Input<'_>> = vec![("--robot", Path::new(&args.robot))];
         inputs.extend(args.path.as_deref().map(|path| ("RUN_DIR|CHECKPOINT", path)));

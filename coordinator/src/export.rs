@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use export::{HeldOut, HeldOutError, Origin, Source};
-use lab::evaluation::Summary;
+use lab::evaluation::{Summary, check_recorded};
 use lab::threads::Threads;
 use lab::trained::{Trained, open_checkpoint};
 use output::counted;
@@ -68,6 +68,8 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
         let message = format!("--out {}: is there already; name another place", out.display());
         return Err(ExitError::new(ExitCode::RunDirectory, message).into());
     }
+    let steps = EvaluationOptions::default().steps;
+    check_recorded(args.episodes as usize, steps, "--episodes")?;
     let trained = Trained::new(open_checkpoint(&args.path)?, None)?;
     let refused = export::check(&trained.world);
     refused.map_err(|why| ExitError::new(ExitCode::BadInput, why.to_string()))?;

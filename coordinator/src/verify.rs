@@ -37,8 +37,9 @@ A replay begins at the newest checkpoint of iteration K or earlier, or from noth
 none, with the configuration that RUN holds now, in a temporary directory that is removed \
 afterwards. RUN is only read.
 
-Exit code: 0 if every iteration that both have agrees, 1 if they part, 2 if both are one \
-directory, 5 if something is missing or damaged, 130 if a replay was stopped by Ctrl-C.";
+Exit code: 0 if every iteration that both have agrees, 1 if they part or a replay ended before \
+iteration K, 2 if both are one directory, 5 if something is missing or damaged, 130 if a replay \
+was stopped by Ctrl-C.";
 
 /// Options of `octopus verify`.
 #[derive(Debug, Clone, Args)]

@@ -338,6 +338,10 @@ fn reproductions_that_cannot_be() {
     refused(&["--quick", "--steps=0"], 2, &["wants"]);
     refused(&["--train", "--policies=/no/such"], 2, &["--policies", "--train"]);
     refused(&["--seeds=2"], 2, &["--train"]);
+    // What would be refused after hours.
+    refused(&[&["--train", "--steps=80"][..], &out].concat(), 2, &["--steps 80 ends before"]);
+    let unseen = ["--train", "--set=run.evaluate_every=0"];
+    refused(&[&unseen[..], &out].concat(), 2, &["run.evaluate_every = 0", "would be the best"]);
     let unknown = ["--train", "--set=run.colour=1"];
     refused(&[&unknown[..], &out].concat(), 3, &["run.colour"]);
 

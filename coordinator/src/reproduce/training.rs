@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum as _;
 use lab::experiments::command_line::typed;
-use lab::reproduce::{MARK, POLICIES, RUNS, refused};
+use lab::reproduce::{MARK, POLICIES, RUNS, check_steps, refused};
 use proto::config::{AlgorithmName, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
@@ -44,8 +44,10 @@ pub(super) fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
 /// Trains what is missing below `out`, and takes the best policies of it. Returns where they lie, and all runs.
 pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
     let runs = planned(args, out);
+    // What would be refused after hours of training.
+    check_steps(args.steps)?;
     for run in &runs {
-        run.planned(args).check()?;
+        run.check(args)?;
     }
     let is_new = !out.exists();
     std::fs::create_dir_all(out).map_err(|error| {
@@ -119,6 +121,31 @@ impl Run {
         PlannedRun { dir: self.dir.clone(), words }
     }
 
+    /// Refuses another run of its name, and one that ends without a policy that is the best where one is wanted.
+    fn check(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
+        let planned = self.planned(args);
+        planned.check()?;
+        let config = planned.config()?;
+        let env_steps = config.planned_iterations() * config.steps_per_iteration();
+        let run = &config.run;
+        if self.is_wanted() && (run.evaluate_every == 0 || env_steps < run.best_after) {
+            let message = format!(
+                "with run.evaluate_every = {} and run.best_after = {} no policy of {} is evaluated, so that none would be the best; \
+                 evaluate every 10 iterations, say, and after fewer env-steps than the {env_steps} that it trains for",
+                run.evaluate_every,
+                run.best_after,
+                self.task.as_str()
+            );
+            return Err(ExitError::new(ExitCode::Usage, message).into());
+        }
+        Ok(())
+    }
+
+    /// Whether its policy may be taken.
+    fn is_wanted(&self) -> bool {
+        self.algorithm == Named(AlgorithmName::Mappo)
+    }
+
     /// Begins it or goes on with it, until it is finished.
     fn go_on(&self, args: &ReproduceArgs, out: &Path) -> anyhow::Result<()> {
         let dir = self.dir.display().to_string();
@@ -188,9 +215,8 @@ fn again(args: &ReproduceArgs, out: &Path) -> Vec<OsString> {
 
 /// Puts the policy of the best MAPPO run of `task` below `policies`.
 fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()> {
-    let of_mappo =
-        runs.iter().filter(|run| run.task == task && run.algorithm == Named(AlgorithmName::Mappo));
-    let scored = of_mappo.map(Run::best).collect::<anyhow::Result<Vec<_>>>()?;
+    let wanted = runs.iter().filter(|run| run.task == task && run.is_wanted());
+    let scored = wanted.map(Run::best).collect::<anyhow::Result<Vec<_>>>()?;
     let best = scored.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((_, checkpoint)) = best else { return Ok(()) };
     let name: Name = task.as_str().parse().context("a task is a name")?;

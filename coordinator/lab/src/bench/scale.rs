@@ -16,7 +16,7 @@ pub(super) fn measure(bench: &Bench, wanted: &Study) -> anyhow::Result<(String, 
     let update = learner::update(bench, &bench.whole(&[])?, false)?;
     let [rollout, update] = [rollout.env_steps_per_s, update.env_steps_per_s];
     let costs = Costs::new(&bench.config, &bench.dimensions, rollout, update, wanted.gateways);
-    let rows = study(&costs, &wanted.scale);
+    let rows = study(&costs, &wanted.scale, || bench.go_on())?;
     let machines = &wanted.scale.machines;
     let [hub, host] = [costs.hub_s, costs.host_s].map(|seconds| 1e3 * seconds);
     let sentence = format!(

@@ -49,14 +49,17 @@ pub fn evaluate_on(
     Ok(Summary::new(contender.identity(), options.seed, own, evaluation, reach))
 }
 
-/// Refuses episodes whose control steps, all of which are recorded, take more memory than there is.
-pub fn check_recorded(episodes: usize, steps: usize) -> Result<(), ExitError> {
+/// What [`check_recorded`] names on a command line that has both.
+pub const EPISODES_OR_STEPS: &str = "--episodes or --steps";
+
+/// Refuses episodes whose control steps, all of which are recorded, take more memory than there is. `asked` names what they were asked for by.
+pub fn check_recorded(episodes: usize, steps: usize, asked: &str) -> Result<(), ExitError> {
     if episodes.saturating_mul(steps) <= MOST_RECORDED {
         return Ok(());
     }
     let message = format!(
         "{} of {} control steps are more than can be recorded: {} control steps in all; ask for fewer by \
-         --episodes or --steps",
+         {asked}",
         output::counted(episodes as u64, "episode"),
         grouped(steps as u64),
         grouped(MOST_RECORDED as u64)

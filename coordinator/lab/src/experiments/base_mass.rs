@@ -138,9 +138,15 @@ impl Experiment for Study {
     }
 }
 
+/// An angle (rad) in milliradians, in no more digits than it has.
+pub(crate) fn in_mrad(threshold: f64) -> String {
+    // A thousandth of a milliradian is below what anybody asks for.
+    format!("{}", (1e6 * threshold).round() / 1e3)
+}
+
 /// A row a mass and threshold would be long, so thresholds share a column.
 fn table(columns: usize, results: &[Weighed], thresholds: &[f64]) -> String {
-    let within: Vec<String> = thresholds.iter().map(|t| format!("{:.0}", 1e3 * t)).collect();
+    let within: Vec<String> = thresholds.iter().map(|t| in_mrad(*t)).collect();
     let success = format!("% within {} mrad", within.join(" / "));
     let rows = results.iter().map(|result| {
         let ErrorOfMany { last, .. } = &result.error;

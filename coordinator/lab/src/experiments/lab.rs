@@ -24,9 +24,9 @@ use {
 
 use super::common::{Beside, Common};
 use super::name::Name;
-use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
+use super::report::{Goals, PlayedEpisode, Protocol, Report, RobotIdentity};
 use crate::contender::Contender;
-use crate::evaluation::{Reach, check_recorded};
+use crate::evaluation::{EPISODES_OR_STEPS, Reach, check_recorded};
 use crate::goals::OwnGoals;
 use crate::identity::Identity;
 use crate::script::{self, TookPart};
@@ -61,6 +61,8 @@ pub struct Lab {
     pub(crate) seed: u64,
     /// Goals instead of held-out ones.
     own_goals: Option<OwnGoals>,
+    /// The robot on which all are put, whichever they learned on.
+    given_robot: Option<Robot>,
     threads: Threads,
     progress: Arc<Parts>,
     /// The first episodes of the trials that were played.
@@ -128,6 +130,7 @@ impl Lab {
             );
             return Err(usage(message).into());
         }
+        let robot_given = robot;
         let robot = policies[0].world.robot.clone();
         for pair in policies.windows(2) {
             together(&pair[0], &pair[1])?;
@@ -142,7 +145,7 @@ impl Lab {
             None => args.episodes.unwrap_or(episodes),
         };
         // Of trials one is recorded at a time.
-        check_recorded(episodes as usize, args.steps as usize)?;
+        check_recorded(episodes as usize, args.steps as usize, EPISODES_OR_STEPS)?;
         Ok(Self {
             policies,
             beside: Vec::new(),
@@ -151,6 +154,7 @@ impl Lab {
             steps: args.steps as usize,
             seed: args.seed,
             own_goals,
+            given_robot: robot_given,
             threads: Threads::available(),
             progress: Arc::default(),
             played: Mutex::default(),
@@ -197,6 +201,7 @@ impl Lab {
             steps: args.steps as usize,
             seed: args.seed,
             own_goals: None,
+            given_robot: None,
             threads: Threads::new(1),
             progress: Arc::default(),
             played: Mutex::default(),
@@ -228,7 +233,7 @@ impl Lab {
                     }
                 }
                 Beside::Policy(path) => {
-                    let one = Contender::from(Trained::new(open_checkpoint(path)?, None)?);
+                    let one = self.open(path)?;
                     let Some(policy) = self.policies.iter().find(|p| p.task() == one.task()) else {
                         let message = format!(
                             "{}: learned `{}`, and no policy of that task is measured here",
@@ -253,7 +258,7 @@ impl Lab {
     /// # Errors
     /// If it cannot be opened, learned one of both, or moves another robot.
     pub(super) fn measure_mixed(mut self, path: &Path) -> anyhow::Result<Self> {
-        let one = Contender::from(Trained::new(open_checkpoint(path)?, None)?);
+        let one = self.open(path)?;
         let task = one.task();
         if task.moves() || !(task.reaches() && task.turns()) {
             let message = format!(
@@ -266,6 +271,11 @@ impl Lab {
         together(&self.policies[0], &one)?;
         self.beside.push((task.as_str().to_owned(), one));
         Ok(self)
+    }
+
+    /// A policy on the robot that is given, or on its own.
+    fn open(&self, path: &Path) -> anyhow::Result<Contender> {
+        Ok(Trained::new(open_checkpoint(path)?, self.given_robot.as_ref())?.into())
     }
 
     /// The policy of a task that the experiment needs.
@@ -289,6 +299,11 @@ impl Lab {
     /// Goals that are given instead of drawn.
     pub fn own_goals(&self) -> Option<&OwnGoals> {
         self.own_goals.as_ref()
+    }
+
+    /// Whose goals trials have, unless they say otherwise.
+    pub(super) fn whose_goals(&self) -> Goals {
+        if self.own_goals.is_some() { Goals::Given } else { Goals::HeldOut }
     }
 
     fn goals(&self) -> EvaluationGoals<'_> {

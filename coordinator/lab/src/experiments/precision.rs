@@ -53,8 +53,8 @@ impl Experiment for Study {
         if self.agents { vec!["--agents".into()] } else { Vec::new() }
     }
 
-    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
-        Ok(Settings { goals: "held out".into(), tail_steps: TAIL_STEPS })
+    fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
+        Ok(Settings { goals: lab.whose_goals().to_string().into(), tail_steps: TAIL_STEPS })
     }
 
     fn work(&self, lab: &Lab) -> u64 {

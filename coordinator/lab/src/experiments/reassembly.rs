@@ -205,7 +205,7 @@ impl Experiment for Study {
             trial.fixed = stage.goals(lab.robot.n_arms);
             let fixed = lab.play(&Goals::Theirs.of_trial(&what), &trial)?;
             results.push(Staged::of(stage, Goals::Theirs, &fixed));
-            results.push(Staged::of(stage, Goals::HeldOut, &drawn));
+            results.push(Staged::of(stage, lab.whose_goals(), &drawn));
         }
         if let Some((name, mixed)) = lab.beside().first() {
             results.extend(halves(lab, (name, mixed), self.action_scale)?);
@@ -242,12 +242,17 @@ fn set_up_pair(lab: &Lab, action_scale: Option<f64>) -> Trial<'_> {
     let mut trial = lab.trial(reach);
     trial.options = step_options(&turn.world.config);
     trial.players = vec![reach.player(), turn.player()];
+    scale(&mut trial, action_scale);
+    trial
+}
+
+/// Has the actions of all players reach so far, if it is said.
+fn scale(trial: &mut Trial<'_>, action_scale: Option<f64>) {
     if let Some(scale) = action_scale {
         for player in &mut trial.players {
             player.action_scale = scale;
         }
     }
-    trial
 }
 
 /// The task that a policy learned as a whole, by the pair and by itself, on the same goals.
@@ -274,18 +279,27 @@ fn halves(
         let hands = hands.map(|(arm, hand)| Some(hand.unwrap_or_else(|| home(arm))));
         FixedGoals { hands: hands.collect(), base }
     });
-    let goals: Vec<FixedGoals> = goals.collect();
+    let mut goals: Vec<FixedGoals> = goals.collect();
+    for (goals, given) in
+        goals.iter_mut().zip(lab.own_goals().into_iter().flat_map(|own| &own.given))
+    {
+        for &arm in &arms {
+            goals.hands[arm] = given.hands[arm].or(goals.hands[arm]);
+        }
+        goals.base = given.base.or(goals.base);
+    }
     let who = |arm: usize| if arms.contains(&arm) { REACHES } else { TURNS };
     let phase = Phase { from: 0, arms: (0..lab.robot.n_arms).map(|arm| Some(who(arm))).collect() };
     let of_pair = Trial { phases: vec![phase], given: &goals, ..set_up_pair(lab, action_scale) };
-    let of_mixed = Trial { given: &goals, ..lab.trial(mixed) };
+    let mut of_mixed = Trial { given: &goals, ..lab.trial(mixed) };
+    scale(&mut of_mixed, action_scale);
     let what = trial_of(StageName::Halves);
     let play = |by: Option<&str>, trial: &Trial<'_>| -> anyhow::Result<Staged> {
         let who = by.map_or_else(String::new, |by| format!(" by {by}"));
         let recording = lab.play_beside(&format!("{what}{who}"), trial)?;
         let reaching = arms.iter().map(|arm| (arm + 1, 0)).collect();
         let by = by.map(str::to_owned);
-        Ok(Staged::measured((StageName::Halves, by, Goals::HeldOut), reaching, &recording))
+        Ok(Staged::measured((StageName::Halves, by, lab.whose_goals()), reaching, &recording))
     };
     Ok([play(None, &of_pair)?, play(Some(name), &of_mixed)?])
 }

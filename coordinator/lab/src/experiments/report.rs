@@ -188,6 +188,9 @@ pub enum Goals {
     /// Drawn ones that no training saw.
     #[serde(rename = "held out")]
     HeldOut,
+    /// Those of a file that a person gave.
+    #[serde(rename = "given")]
+    Given,
 }
 
 impl Goals {
@@ -195,7 +198,7 @@ impl Goals {
     pub(crate) fn of_trial(self, what: &str) -> String {
         match self {
             Self::Theirs => format!("{what}, the authors' goals"),
-            Self::HeldOut => what.to_owned(),
+            Self::HeldOut | Self::Given => what.to_owned(),
         }
     }
 }
@@ -205,6 +208,7 @@ impl fmt::Display for Goals {
         f.write_str(match self {
             Self::Theirs => "the authors'",
             Self::HeldOut => "held out",
+            Self::Given => "given",
         })
     }
 }

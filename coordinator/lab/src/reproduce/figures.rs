@@ -6,6 +6,7 @@ use proto::config::TaskName;
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
 use super::episodes::Links;
 use super::reports::Reports;
+use crate::experiments::base_mass::in_mrad;
 use crate::experiments::disturbance::{Disturbance, Disturbed};
 use crate::experiments::noise::{Point, Quantity};
 use crate::experiments::report::{ErrorOfMany, Figure, Goals};
@@ -268,7 +269,7 @@ pub(super) fn base_mass(reports: &Reports, links: &Links) -> anyhow::Result<Stri
     let mut success: Vec<Item> = thresholds
         .map(|(index, threshold)| {
             let points = report.results.iter().map(|r| (r.mass, 100.0 * r.success[index]));
-            dotted(format!("{:.0} mrad", 1e3 * threshold), index, points.collect())
+            dotted(format!("{} mrad", in_mrad(*threshold)), index, points.collect())
         })
         .collect();
     success.push(threshold("claim", 100.0 * MASS_SHARE));

@@ -26,7 +26,7 @@ pub use self::place::{
     MARK, POLICIES, RUNS, check_place, curves_beside, default_policies, refused,
 };
 use self::planned::Planned;
-pub use self::study::Study;
+pub use self::study::{Study, check_steps};
 use crate::figures::recorded;
 
 /// The page, and the paper's claims beside what was measured.
@@ -66,6 +66,11 @@ pub fn reproduce(study: &Study) -> anyhow::Result<Reproduction> {
     })?;
     match episodes {
         Some(episodes) => files::replace(&study.out.join(episodes::FILE), episodes.as_bytes())?,
+        None if study.controller.is_some() => {
+            output::note(
+                "note: the report has no episodes to watch: a controller does not play in the page",
+            );
+        }
         None => output::note(&format!(
             "note: the report has no episodes to watch: {}",
             service::page::MISSING

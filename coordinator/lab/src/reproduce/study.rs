@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
+use proto::ExitError;
+
 use crate::experiments::common::{Beside, Common};
-use crate::experiments::{base_mass, noise};
+use crate::experiments::{base_mass, disturbance, noise};
 use crate::identity::ControllerName;
 
 /// Episodes of a setting with `--quick`.
@@ -32,6 +34,11 @@ pub struct Study {
     pub steps: u32,
     /// Seed of goals and noise.
     pub seed: u64,
+}
+
+/// Refuses episodes of so many control steps if an experiment takes more.
+pub fn check_steps(steps: u32) -> Result<(), ExitError> {
+    disturbance::Study::default().check_steps(steps as usize)
 }
 
 impl Study {

@@ -199,10 +199,13 @@ impl<'a> Run<'a> {
     }
 
     fn play_all(&mut self, now: f64, host: Option<usize>) {
-        for index in 0..self.workers.len() {
-            if self.workers[index].host == host {
-                self.play(now, index);
-            }
+        let [local, each] = [self.machines.local_workers, self.machines.host_workers];
+        let [local, each] = [local, each].map(|workers| workers as usize);
+        // In the order in which they were made.
+        let of_machine =
+            host.map_or(0..local, |host| local + host * each..local + (host + 1) * each);
+        for index in of_machine {
+            self.play(now, index);
         }
     }
 

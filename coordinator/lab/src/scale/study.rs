@@ -111,19 +111,26 @@ pub struct Row {
     pub limit: Limit,
 }
 
-/// All sizes; those without a worker are left out.
-pub fn study(costs: &Costs, scale: &Scale) -> Vec<Row> {
+/// All sizes; those without a worker are left out. `go_on` is asked before each whether it is still wanted.
+pub fn study<E>(
+    costs: &Costs,
+    scale: &Scale,
+    go_on: impl Fn() -> Result<(), E>,
+) -> Result<Vec<Row>, E> {
     let sizes = scale
         .learners
         .iter()
         .flat_map(|&learners| scale.hosts.iter().map(move |&hosts| (learners, hosts)));
-    let rows = sizes.filter_map(|(learners, hosts)| {
+    let mut rows = Vec::new();
+    for (learners, hosts) in sizes {
+        go_on()?;
         let machines = Machines { hosts, learners, ..scale.machines.clone() };
-        let outcome = simulate(costs, &machines)?;
-        let limit = Limit::of(costs, &machines, &outcome);
-        Some(Row { hosts, learners, outcome, limit })
-    });
-    rows.collect()
+        if let Some(outcome) = simulate(costs, &machines) {
+            let limit = Limit::of(costs, &machines, &outcome);
+            rows.push(Row { hosts, learners, outcome, limit });
+        }
+    }
+    Ok(rows)
 }
 
 /// For people; below it, what would make the runs faster.
@@ -180,6 +187,8 @@ pub fn to_json(rows: &[Row]) -> Value {
 
 #[cfg(test)]
 mod tests {
+    use std::convert::Infallible;
+
     use super::*;
 
     fn scale(hosts: &[u32]) -> (Costs, Scale) {
@@ -206,10 +215,15 @@ mod tests {
         (costs, Scale { hosts: hosts.to_vec(), learners: vec![1, 8], machines })
     }
 
+    fn all(costs: &Costs, scale: &Scale) -> Vec<Row> {
+        let Ok(rows) = study(costs, scale, || Ok::<_, Infallible>(()));
+        rows
+    }
+
     #[test]
     fn what_holds_back_changes_as_a_run_grows() {
         let (costs, scale) = scale(&[0, 1, 4, 100]);
-        let rows = study(&costs, &scale);
+        let rows = all(&costs, &scale);
         assert_eq!(rows.len(), 6, "without hosts there is no worker");
         let limits: Vec<_> = rows.iter().map(|row| row.limit).collect();
         assert_eq!(limits[..3], [Limit::Workers, Limit::Workers, Limit::Learner], "{rows:#?}");
@@ -222,7 +236,7 @@ mod tests {
     #[test]
     fn the_table_says_what_to_buy() {
         let (costs, scale) = scale(&[1, 100]);
-        let rows = study(&costs, &scale);
+        let rows = all(&costs, &scale);
         let table = table(&rows);
         assert!(table.contains("Held back by workers: more hosts"), "{table}");
         assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");

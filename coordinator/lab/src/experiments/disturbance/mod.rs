@@ -35,6 +35,21 @@ pub struct Settings {
     errors: Words,
 }
 
+impl Study {
+    /// Refuses episodes of so many control steps if they end too early.
+    pub(crate) fn check_steps(&self, steps: usize) -> Result<(), ExitError> {
+        let longest = self.at + 2 * BASE_STEPS;
+        if steps > longest {
+            return Ok(());
+        }
+        let message = format!(
+            "--steps {steps} ends before the disturbance has: with --at {} it takes more than {longest}",
+            self.at
+        );
+        Err(ExitError::new(ExitCode::Usage, message))
+    }
+}
+
 impl Experiment for Study {
     const NAME: Name = Name::Disturbance;
     const NEEDS: Needs = Needs::Any;
@@ -57,15 +72,7 @@ impl Experiment for Study {
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
         lab.check_arm(self.arm)?;
-        let longest = self.at + 2 * BASE_STEPS;
-        if lab.steps <= longest {
-            let message = format!(
-                "--steps {} ends before the disturbance has: with --at {} it takes more than \
-                 {longest}",
-                lab.steps, self.at
-            );
-            return Err(ExitError::new(ExitCode::Usage, message).into());
-        }
+        self.check_steps(lab.steps)?;
         Ok(Settings {
             at: self.at,
             arm: self.arm,
