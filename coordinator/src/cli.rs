@@ -23,8 +23,8 @@ Exit codes:
   5    a run directory, checkpoint or result exists already, is in use, is
        missing or is damaged
   6    the learner or a worker failed for good
-  130  stopped short: by a second Ctrl-C where a run is going on, by the first
-       one elsewhere
+  130  stopped early: by a second Ctrl-C where a run is going on, by the first
+       one elsewhere. Ctrl-C is the normal end of serve, view and join: 0
 
 Results go to standard output, progress and logs to standard error (RUST_LOG=info shows more). \
 `octopus COMMAND --help` shows options and examples.";
@@ -49,7 +49,7 @@ pub enum Command {
     Sweep(sweep::SweepArgs),
     /// Measure a policy on goals it never saw.
     Eval(eval::EvalArgs),
-    /// Repeat one of the paper's experiments.
+    /// Repeat an experiment of the paper, or an episode from the page.
     Experiment(experiment::ExperimentArgs),
     /// Repeat all of the paper's experiments and make a page of them.
     Reproduce(reproduce::ReproduceArgs),

@@ -49,14 +49,14 @@ The released scripts overwrite actions: arm 2's shoulder lift with 1.3 in one st
 actions of the base's task with 1 in five steps. Beside that something acts from outside: a force \
 on the hand for one step (0.4 s, along the world's x axis), or a torque on the base for five \
 steps (about the world's z axis). Nothing inside the robot takes their momentum away again, so \
-what is pushed drifts for ever. `push and pull` follows with the opposite. Of a torque that leaves \
-nothing; of a force no linear momentum, but an angular one, as the hand has moved in between: the \
-base turns on, until goals, which stand still, are out of the arm's reach. Recovered is told \
-before that, the tail after; the lines below the table say how far the base turns and who can \
-still reach. In its five steps 5 N m turn the base by 100 mrad when the arms are held, as the \
+what is pushed drifts for ever. `push and pull` follows with the opposite. After a torque and \
+its opposite no momentum is left. After a force and its opposite an angular one is, as the hand \
+has moved in between: the base keeps turning until goals, which stand still, are out of reach. \
+Recovery is mostly before that, the tail after; the lines below the table say how far the base \
+turns and who can still reach. In its five steps 5 N m turn the base by 100 mrad when the arms are held, as the \
 overwritten actions do from home in the authors' scale of 0.5. Errors are the largest of the \
-three axes. Recovered is who comes below 15 mm and 20 mrad, or 30 mrad of the base, the paper's \
-claims.";
+three axes. An episode has recovered when its error falls below 15 mm and 20 mrad, or 30 mrad \
+of the base, the paper's claims.";
 
 const ARM_FAILURE_EXAMPLES: &str = "\
 Examples:
@@ -136,7 +136,7 @@ pub enum ExperimentCommand {
     Reassembly(ReassemblyArgs),
     /// Errors against noise, disturbing torques, delay and mass of the arms.
     Noise(NoiseArgs),
-    /// One episode again that somebody took hold of in the page.
+    /// Play an episode again that somebody changed in the page.
     Episode(EpisodeArgs),
 }
 

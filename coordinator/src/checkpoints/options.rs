@@ -22,8 +22,8 @@ Wherever a CHECKPOINT is wanted, write
   RUN:TAG        the one with that tag
   DIR            a checkpoint's own directory
 where RUN is a run directory or any directory of checkpoints, which is also what STORE stands \
-for. list, show, verify, diff, pin, unpin, tag, untag, export and delete take a bucket for RUN or \
-STORE, too, as in s3://bucket/prefix:best.";
+for. list, show, verify, diff, pin, unpin, tag, untag, prune, export and delete take a bucket for \
+RUN or STORE, too, as in s3://bucket/prefix:best.";
 
 const LIST_EXAMPLES: &str = "\
 Examples:
