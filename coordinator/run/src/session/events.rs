@@ -9,8 +9,8 @@ use proto::{ExitCode, ExitError};
 use service::history::What;
 use store::checkpoint::Name;
 
+use super::deadlines::finish_deadline;
 use super::order_queue::Addressee;
-use super::recovery::finish_deadline;
 use super::snapshots::{Evaluation, Phase};
 use super::{Session, StoppedBy};
 use crate::committer::Committed;
