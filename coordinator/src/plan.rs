@@ -39,7 +39,8 @@ arm has for the pose, straight or with a detour, the other arms at rest or movin
 the base. 32 are played at a time; of those that arrive and touch nothing the one that arrives \
 first is the plan. Commands are joint rates \
 (rad/s), a row a control step of 0.4 s: what `octopus simulate` reads, which ends in the same \
-place. Whatever the machine, the same question has the same answer, if it is found in time. \
+place. On machines with the same type of processor and C library the same question has the same \
+answer, if it is found in time. \
 Contacts are looked for in the motion itself, and by playing it again without them; distances \
 between bodies are those at the ends of control steps.
 

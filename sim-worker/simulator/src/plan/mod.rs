@@ -6,7 +6,7 @@
 //! at rest; the later ones make a detour, wait, turn a joint the other way round, or have the other arms move, which moves the base.
 //!
 //! Candidates are tried in waves of the same size on every machine, and a wave is decided as a whole. So a question that is answered in time has
-//! one answer, whatever the machine; the time only says when to give up.
+//! one answer on machines with the same type of processor and C library, on which inverse kinematics hangs; the time only says when to give up.
 
 mod attempt;
 mod candidates;
