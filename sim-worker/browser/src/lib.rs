@@ -8,7 +8,7 @@
 //! a page reads (see `arrays`); [`text`] is what went wrong, in words, or what [`describe`] wrote. Calls that can
 //! fail return −1 then. JSON values are [`Start`](simulator::experiment::Start) and [`Event`](simulator::experiment::Event).
 //!
-//! A typed array over linear memory is of no use any more once memory has grown, which any call but [`step`] may do.
+//! A typed array over linear memory is of no use any more once memory has grown, which any call may do.
 //!
 //! **Panics** would be defects. They trap, and leave their words in [`text`]; the instance is of no use then.
 //!
