@@ -196,6 +196,7 @@ fn resolve_type(check: &Check, part: &ArmTypeParts<'_>) -> Result<ArmType, Robot
             resolve_angle_contact(check, &format!("{prefix}stops[{i}]"), contact, part.links)
         })
         .collect::<Result<Vec<_>, _>>()?;
+    check_pushes(check, prefix, &angle_contacts)?;
     Ok(ArmType {
         tool_position: last.shift + last.twist * Vector3::from(part.tool.position),
         tool_rotation: last.twist,
@@ -418,6 +419,22 @@ fn resolve_angle_contact(
         narrowing_joint: contact.narrowing_joint - 1,
         push: contact.push,
     })
+}
+
+/// Refuses a second stop of a joint that pushes: a goal posture knows one interval a joint.
+fn check_pushes(check: &Check, prefix: &str, stops: &[AngleContact]) -> Result<(), RobotError> {
+    for (i, stop) in stops.iter().enumerate().filter(|(_, stop)| stop.push) {
+        let before = stops[..i].iter().position(|other| other.push && other.joint == stop.joint);
+        if let Some(before) = before {
+            let joint = stop.joint + 1;
+            return Err(check.error(
+                &format!("{prefix}stops[{i}].push"),
+                &format!("true, as that of stops[{before}], for joint {joint}"),
+                "one stop a joint that pushes: join the intervals, or let push of one be false",
+            ));
+        }
+    }
+    Ok(())
 }
 
 fn solid_box(

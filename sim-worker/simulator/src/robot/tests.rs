@@ -75,6 +75,11 @@ fn bad_descriptions_name_file_key_and_expectation() {
             "0.3553, 0.0, 0.0, 0.0]\narmature = 0.0",
             &["stops[0].push", "armature"],
         ),
+        (
+            "narrowing = 0.06\nnarrowing_joint = 1\npush = false",
+            "narrowing = 0.06\nnarrowing_joint = 1\npush = true",
+            &["stops[1].push", "as that of stops[0], for joint 2", "one stop a joint that pushes"],
+        ),
         ("name = \"paper\"", "name = \"a\\u001b[2Jb\"", &["name is", "letters"]),
         ("name = \"cube\"", "name = \"cu\\\"be\"", &["base[0].name", "letters"]),
         ("name = \"cube\"", "name = \"<cube>\"", &["base[0].name", "letters"]),
