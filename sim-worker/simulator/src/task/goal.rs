@@ -57,8 +57,13 @@ impl<S: Real> Goals<S> {
             Some(body) => {
                 self.body.get_or_insert_with(|| Tumbling::new(n_arms)).set_lane(lane, &body);
             }
-            // Of two tasks the later one has its goals, and what carries them.
-            None if !hands.is_empty() => self.body = None,
+            // Of two tasks the later one has its goals, and what carries them, each lane for itself.
+            None if !hands.is_empty() => {
+                if let Some(body) = &mut self.body {
+                    body.rest_lane(lane);
+                }
+                self.body.take_if(|body| body.rests());
+            }
             None => {}
         }
     }

@@ -15,6 +15,7 @@ use crate::collision::Touching;
 use crate::env::Physics;
 use crate::model::ContactKind;
 use crate::robot::{MAX_ARMS, Robot};
+use crate::scalar::{LaneFn, Real, dispatch};
 use crate::spatial::{
     add, euler_xyz, euler_xyz_to_rotation, mat_mat, mat_t_vec, mat_vec, quaternion_exp,
     quaternion_product, quaternion_to_rotation,
@@ -404,6 +405,50 @@ fn the_motion_of_a_goal_is_seen_beside_its_place() {
         assert!((seen - wanted).abs() < 1e-6, "{seen} {wanted}");
     }
     assert!(seen[45..48].iter().any(|rate| rate.abs() > 1e-5), "{:?}", &seen[45..48]);
+}
+
+/// Goals of two tasks, drawn one after the other, in all lanes or in the first alone.
+struct DrawnAgain {
+    first_alone: bool,
+}
+
+impl LaneFn for DrawnAgain {
+    type Output = ();
+    #[inline(always)]
+    fn call<S: Real>(self) {
+        let [capture, reaching] = [TaskName::Capture, TaskName::Trajectory]
+            .map(|name| Task::new(&config(Preset::Tuned, name), home()));
+        let address = |lane| {
+            let (purpose, env) = (Purpose::Goal, lane as u32);
+            GoalAddress { seed: 3, purpose, iteration: 0, env }
+        };
+        let mut goals = Goals::<S>::at_home(&capture.goals);
+        (0..S::LANES).for_each(|lane| goals.draw(&capture, address(lane), lane));
+        let again = if self.first_alone { 1 } else { S::LANES };
+        (0..again).for_each(|lane| goals.draw(&reaching, address(lane), lane));
+        goals.attach();
+        let Some(rates) = goals.hand_velocities() else {
+            assert_eq!(again, S::LANES, "a body of other lanes is gone");
+            return;
+        };
+        assert!(again < S::LANES, "nothing moves");
+        for lane in 0..S::LANES {
+            let rest = rates.iter().flatten().all(|rate| rate.lane(lane) == 0.0);
+            assert_eq!(rest, lane == 0, "lane {lane}");
+        }
+        let before = goals.hands.clone();
+        goals.advance(0.4);
+        for (after, before) in goals.hands.iter().flatten().zip(before.iter().flatten()) {
+            assert!((after.lane(0) - before.lane(0)).abs() < 1e-5);
+        }
+    }
+}
+
+#[test]
+fn a_lane_that_is_drawn_again_leaves_the_bodies_of_others() {
+    for first_alone in [true, false] {
+        dispatch(DrawnAgain { first_alone });
+    }
 }
 
 #[test]

@@ -65,6 +65,25 @@ impl<S: Real> Tumbling<S> {
         set(&mut self.inertia, &inertia);
     }
 
+    /// Has that of one environment rest.
+    pub(super) fn rest_lane(&mut self, lane: usize) {
+        let zero = [0.0; 3];
+        let rest = FreeBody {
+            position: zero,
+            turned: zero,
+            linear: zero,
+            angular: zero,
+            inertia: [1.0; 3],
+        };
+        self.set_lane(lane, &rest);
+    }
+
+    /// Whether all rest: nothing moves then.
+    pub(super) fn rests(&self) -> bool {
+        let mut rates = self.linear.iter().chain(&self.angular);
+        rates.all(|rate| (0..S::LANES).all(|lane| rate.lane(lane) == 0.0))
+    }
+
     /// Carries from now on the hand of `arm` from where it is: position (m) and Euler angles (rad), world.
     pub(super) fn attach(&mut self, arm: usize, [x, y, z, a, b, c]: &[S; 6]) {
         let body = quaternion_to_rotation(&self.quaternion);
