@@ -36,7 +36,7 @@ pub(crate) fn check_means<S: Real>(
 
 /// Largest sensible magnitudes. Nothing physical comes near them: the servos command at most a few
 /// rad/s, and momentum is conserved.
-const LIMITS: [(&str, f64); 6] = [
+pub(crate) const LIMITS: [(&str, f64); 6] = [
     ("base position (m)", 1e3),
     ("base quaternion", 1.1),
     ("base velocity (m/s)", 1e3),

@@ -13,7 +13,7 @@ mod normals;
 mod physics;
 mod sensors;
 
-pub(crate) use checks::{check_means, check_state};
+pub(crate) use checks::{LIMITS, check_means, check_state};
 pub use error::EpisodeError;
 pub(crate) use home::home;
 pub use moment::Moment;

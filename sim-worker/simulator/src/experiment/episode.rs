@@ -10,14 +10,14 @@ use proto::rng::Purpose;
 
 use super::chunk::Chunk;
 use super::event::{
-    Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, finite, within,
+    Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, finite, up_to, within,
 };
 use super::group::Group;
 use super::stepper::{Aims, Stepper, draw_goals};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::collision::Touching;
 use crate::dynamics::Hand;
-use crate::env::{EpisodeError, Physics, Push, step_options};
+use crate::env::{EpisodeError, LIMITS, Physics, Push, step_options};
 use crate::policy::Policy;
 use crate::robot::{Joints, Robot};
 use crate::rollout::World;
@@ -175,7 +175,7 @@ impl Episode {
             return Err(EventError::Joints(Box::new([moved, there])));
         }
         let at = at.unwrap_or(self.members.len());
-        within("policy", at, self.members.len() + 1)?;
+        up_to("policy", at, self.members.len())?;
         if at == self.members.len() {
             self.members.push(member);
         } else {
@@ -242,7 +242,9 @@ impl Episode {
             Event::ClearEffects => self.course.effects.clear(),
             Event::BaseMass { mass } => self.weigh(Some(*mass))?,
             Event::Delay { steps } => {
-                within("a delay of steps,", *steps, LONGEST_DELAY + 1)?;
+                if *steps > LONGEST_DELAY {
+                    return Err(EventError::Delay(*steps));
+                }
                 self.stepper.groups[0].delay(*steps);
             }
             Event::Sensors(noise) => {
@@ -484,7 +486,14 @@ fn set_state(state: &mut State<f32>, numbers: &[f64]) -> Result<(), EventError> 
             limit,
         });
     }
-    finite("the state", numbers)?;
+    // Beyond these the first step would say that the simulation has diverged.
+    let limits = state.parts().into_iter().zip(LIMITS);
+    let limits = limits.flat_map(|(part, limit)| std::iter::repeat_n(limit, part.len()));
+    for (index, (&found, (quantity, limit))) in numbers.iter().zip(limits).enumerate() {
+        if !(-limit..=limit).contains(&found) {
+            return Err(EventError::State { index, quantity, found, limit });
+        }
+    }
     let square = numbers[3..7].iter().map(|x| x * x).sum::<f64>();
     if (square - 1.0).abs() > 1e-3 {
         let what = "the square of the quaternion's length";

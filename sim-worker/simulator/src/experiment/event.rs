@@ -178,6 +178,23 @@ pub enum EventError {
         /// What would do.
         expected: &'static str,
     },
+    /// A delay that is too long.
+    #[error("a delay of {0} control steps: at most {most}", most = LONGEST_DELAY)]
+    Delay(usize),
+    /// A number of a state beyond what a simulation may come to.
+    #[error(
+        "number {index} of the state, {quantity}, is {found}; a number from -{limit} to {limit} is wanted"
+    )]
+    State {
+        /// Its place, from 0 on.
+        index: usize,
+        /// What it is of.
+        quantity: &'static str,
+        /// What it is.
+        found: f64,
+        /// The largest magnitude.
+        limit: f64,
+    },
     /// A policy for other arms.
     #[error("the policy moves {}, the robot has {}", .0[0], .0[1])]
     Joints(Box<[Joints; 2]>),
@@ -189,6 +206,11 @@ pub enum EventError {
 /// Refuses an index beyond `limit`.
 pub(super) fn within(what: &'static str, found: usize, limit: usize) -> Result<(), EventError> {
     if found < limit { Ok(()) } else { Err(EventError::Beyond { what, found, limit }) }
+}
+
+/// Refuses what is behind the end, or a place behind `limit`.
+pub(super) fn up_to(what: &'static str, found: usize, limit: usize) -> Result<(), EventError> {
+    if found <= limit { Ok(()) } else { Err(EventError::Beyond { what, found, limit }) }
 }
 
 /// Refuses what is no number.
@@ -205,9 +227,14 @@ impl Effect {
         let (n_arms, n_joints) = (joints.n_arms(), joints.n_joints());
         match self {
             Self::Action { joints, value } => {
-                within("joint", joints.start, n_joints + 1)?;
-                within("joint", joints.end, n_joints + 1)?;
-                within("the first joint", joints.start, joints.end + 1)?;
+                up_to("joints up to", joints.end, n_joints)?;
+                if joints.start > joints.end {
+                    return Err(EventError::Value {
+                        what: "the first joint",
+                        found: joints.start as f64,
+                        expected: "one up to the end of its range",
+                    });
+                }
                 finite("the action", &[*value])
             }
             Self::HandForce { arm, force } => {

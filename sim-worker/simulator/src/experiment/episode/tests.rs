@@ -319,7 +319,12 @@ fn an_episode_begins_where_another_one_was() {
         assert!(error.contains(word), "{error}");
     };
     refused(&|numbers| _ = numbers.pop(), "there are 61");
-    refused(&|numbers| numbers[20] = f64::NAN, "NaN");
+    refused(&|numbers| numbers[20] = f64::NAN, "number 20 of the state, joint angle (rad), is NaN");
+    refused(
+        &|numbers| numbers[0] = 5000.0,
+        "number 0 of the state, base position (m), is 5000; a number from -1000 to 1000 is wanted",
+    );
+    refused(&|numbers| numbers[60] = -2e3, "number 60 of the state, joint rate (rad/s), is -2000");
     refused(&|numbers| numbers[3] = 0.0, "quaternion");
 }
 
@@ -365,9 +370,9 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
         (Event::Arm { arm: 0, control: Control::Policy(2) }, "policy 2"),
         (Event::Arm { arm: 9, control: Control::Hold }, "arm 9"),
         (Event::BaseMass { mass: -1.0 }, "mass"),
-        (Event::Delay { steps: 26 }, "26"),
+        (Event::Delay { steps: 26 }, "a delay of 26 control steps: at most 25"),
         (Event::Sensors(SensorNoise { rate: nan, ..SensorNoise::NONE }), "NaN"),
-        (effect(Effect::Action { joints: 20..25, value: 0.0 }), "joint 25"),
+        (effect(Effect::Action { joints: 20..25, value: 0.0 }), "joints up to 25: there are 24"),
         (effect(Effect::Action { joints: std::ops::Range { start: 3, end: 2 }, value: 0.0 }), "3"),
         (effect(Effect::HandForce { arm: 4, force: [0.0; 3] }), "arm 4"),
         (effect(Effect::BaseTorque([0.0, nan, 0.0])), "NaN"),
@@ -375,7 +380,7 @@ fn what_cannot_be_is_refused_and_changes_nothing() {
         (effect(Effect::Limp { arm: 4 }), "arm 4"),
         (
             effect(Effect::Wrench { body: 25, point: [0.0; 3], force: [0.0; 3], torque: [0.0; 3] }),
-            "body 25",
+            "body 25: there are 25",
         ),
     ] {
         let error = episode.apply(&event).expect_err("refused").to_string();
