@@ -9,7 +9,7 @@ use lab::experiments::{
 };
 use lab::identity::ControllerName;
 use lab::script;
-use lab::trained::{Trained, open_checkpoint};
+use lab::trained::open_checkpoint;
 use simulator::simulate::Precision;
 use simulator::step::StepOptions;
 use store::files;
@@ -293,7 +293,7 @@ pub struct EpisodeArgs {
     /// A policy that takes part, once for each of them, in their order.
     #[arg(long = "policy", value_name = "RUN_DIR|CHECKPOINT", required = true)]
     pub policies: Vec<PathBuf>,
-    /// Another robot than the policies' own: `paper`, `release`, or a robot file.
+    /// Another robot than the first policy's, on which all play: `paper`, `release`, or a robot file.
     #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
     pub robot: Option<String>,
     /// The states, as `octopus simulate` writes them.
@@ -379,10 +379,10 @@ fn episode(args: &EpisodeArgs) -> anyhow::Result<()> {
     let recording = script::read(&args.script)?;
     let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());
     let robot = args.robot.as_deref().map(load).transpose()?;
-    let policies = args.policies.iter();
-    let policies: anyhow::Result<Vec<_>> =
-        policies.map(|path| Trained::new(open_checkpoint(path)?, robot.as_ref())).collect();
-    let played = script::play(&recording, policies?, &args.script)?;
+    let checkpoints = args.policies.iter().map(|path| open_checkpoint(path));
+    let checkpoints = checkpoints.collect::<anyhow::Result<Vec<_>>>()?;
+    let policies = script::on_one_robot(checkpoints, robot.as_ref())?;
+    let played = script::play(&recording, policies, &args.script)?;
     if let Some(path) = &args.out {
         let table = write_table(&played.robot, &played.rows, Precision::F32)?;
         if path == Path::new("-") {

@@ -125,6 +125,23 @@ pub struct Played {
     pub robot: Robot,
 }
 
+/// Policies on one robot: this one, or that of the first, as the page puts those on it that come later.
+///
+/// # Errors
+/// If a policy is none for that robot.
+pub fn on_one_robot(
+    checkpoints: Vec<Checkpoint>,
+    robot: Option<&Robot>,
+) -> anyhow::Result<Vec<Trained>> {
+    let mut policies: Vec<Trained> = Vec::with_capacity(checkpoints.len());
+    for checkpoint in checkpoints {
+        let robot = robot.or_else(|| policies.first().map(|first| &first.world.robot));
+        let policy = Trained::new(checkpoint, robot)?;
+        policies.push(policy);
+    }
+    Ok(policies)
+}
+
 /// Plays a recording with these policies, which must be those that took part.
 ///
 /// # Errors
@@ -201,5 +218,29 @@ impl Played {
             ["BLAKE3 of all states".to_owned(), self.states_blake3.clone()],
         ]);
         output::table(["at the end", "value"], rows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trained::open_checkpoint;
+
+    /// As the page has it, which puts every policy on the robot that is there.
+    #[test]
+    fn later_policies_play_on_the_robot_of_the_first() {
+        let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/policies");
+        let first = open_checkpoint(&policies.join("trajectory")).expect("it is there");
+        let release = Robot::builtin("release").expect("built in");
+        let mut second = first.clone();
+        second.robot_toml = release.to_toml();
+        let robots = |robot: Option<&Robot>| -> Vec<Robot> {
+            let policies = on_one_robot(vec![first.clone(), second.clone()], robot);
+            policies.expect("as many arms").into_iter().map(|policy| policy.world.robot).collect()
+        };
+        let [one, other] = robots(None).try_into().expect("two");
+        assert_eq!(one, other);
+        assert_ne!(one, release);
+        assert_eq!(robots(Some(&release)), [release.clone(), release.clone()]);
     }
 }
