@@ -46,7 +46,7 @@ impl Contender {
     /// A controller of a task on a robot, within the limits that presets `tuned` and `guided` give actions.
     ///
     /// # Errors
-    /// If it is none of such a task.
+    /// If it is none of such a task, or the robot has too few arms for it.
     pub fn controller(name: ControllerName, task: TaskName, robot: &Robot) -> anyhow::Result<Self> {
         if !name.controls(task) {
             let message = format!(
@@ -56,6 +56,10 @@ impl Contender {
             );
             return Err(ExitError::new(ExitCode::Usage, message).into());
         }
+        task.check_arms(&robot.name, robot.n_arms).map_err(|refused| {
+            let message = format!("{refused}; take another robot (--robot) or another task");
+            ExitError::new(ExitCode::BadInput, message)
+        })?;
         let (world, driver) = match name {
             ControllerName::Jacobian => {
                 let config = Layers::new(Preset::Tuned, Some(task)).resolve()?;
@@ -118,5 +122,21 @@ impl Contender {
     /// What messages call it.
     pub fn shown(&self) -> String {
         self.identity.shown()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_task_for_two_arms_has_no_controller_on_a_robot_with_one() {
+        let text = Robot::builtin("paper").expect("built in").to_toml();
+        let second = text.match_indices("[[arms]]").nth(1).expect("four arms").0;
+        let one = Robot::from_toml(&text[..second], "one.toml".as_ref()).expect("a robot");
+        let of = |task| Contender::controller(ControllerName::Jacobian, task, &one);
+        let refused = of(TaskName::Mixed).expect_err("one arm").to_string();
+        assert!(refused.contains("has 1 arm, and task `mixed` needs 2"), "{refused}");
+        of(TaskName::Trajectory).expect("one arm is enough");
     }
 }

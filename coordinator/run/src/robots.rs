@@ -60,16 +60,10 @@ pub fn load_fit_robot(name: &str, options: &StepOptions) -> anyhow::Result<Robot
 pub fn load_robot_of(config: &Config) -> anyhow::Result<Robot> {
     let name = &config.robot.description;
     let robot = load_fit_robot(name, &step_options(config))?;
-    let task = config.task.name;
-    let (fewest, there) = (task.definition().fewest_arms(), robot.n_arms);
-    if there < fewest {
-        let message = format!(
-            "robot {name} has {there} arm{}, and task `{}` needs {fewest}; take another robot (robot.description) or another task",
-            if there == 1 { "" } else { "s" },
-            task.as_str()
-        );
-        return Err(ExitError::new(ExitCode::BadInput, message).into());
-    }
+    config.task.name.check_arms(name, robot.n_arms).map_err(|refused| {
+        let message = format!("{refused}; take another robot (robot.description) or another task");
+        ExitError::new(ExitCode::BadInput, message)
+    })?;
     Ok(robot)
 }
 

@@ -156,6 +156,20 @@ impl TaskName {
         !self.reaches() || self.aim(arm, n_arms) == Aim::Hand
     }
 
+    /// Refuses a robot with fewer arms than the task makes sense with.
+    ///
+    /// # Errors
+    /// In words, without what to do about it.
+    pub fn check_arms(self, robot: &str, there: usize) -> Result<(), String> {
+        let fewest = self.definition().fewest_arms();
+        if there >= fewest {
+            return Ok(());
+        }
+        let arms = if there == 1 { "arm" } else { "arms" };
+        let task = self.as_str();
+        Err(format!("robot {robot} has {there} {arms}, and task `{task}` needs {fewest}"))
+    }
+
     /// Whether goals move.
     pub fn moves(self) -> bool {
         self.definition().moves()

@@ -51,6 +51,14 @@ fn every_task_has_goals_where_its_arms_aim() {
 }
 
 #[test]
+fn a_robot_with_too_few_arms_is_refused() {
+    let refused = TaskName::Mixed.check_arms("lone", 1);
+    assert_eq!(refused, Err("robot lone has 1 arm, and task `mixed` needs 2".to_owned()));
+    assert_eq!(TaskName::Mixed.check_arms("pair", 2), Ok(()));
+    assert_eq!(TaskName::Trajectory.check_arms("lone", 1), Ok(()));
+}
+
+#[test]
 fn what_mixed_draws_for_hands_and_base_is_independent() {
     let (mixed, hands, base) = (
         drawn(TaskName::Mixed, 7),

@@ -70,7 +70,7 @@ impl Batch {
                 return Err(value("threads is 0, expected 1 or more, or None for all processors"));
             }
             let config = config::of_argument(config.as_ref(), task, &set)?;
-            let robot = robot::of_argument(robot.as_ref(), &config.robot.description)?;
+            let robot = robot::of_config(robot.as_ref(), &config)?;
             let threads = threads.unwrap_or_else(available);
             let seed = config.run.seed;
             let world = Arc::new(World::new(&config, &robot));

@@ -40,7 +40,7 @@ impl Postures {
                     "the configuration has no goal postures: set task.posture.seen=true",
                 ));
             }
-            let robot = robot::of_argument(robot.as_ref(), &config.robot.description)?;
+            let robot = robot::of_config(robot.as_ref(), &config)?;
             let World { task, robot, .. } = World::new(&config, &robot);
             let joints = robot.joints;
             let known = Mutex::new((Errors::of(&task, &robot), Readings::new(&joints)));

@@ -138,3 +138,14 @@ pub(crate) fn of_argument(
     })?;
     load(&path)
 }
+
+/// The robot that an argument names, or else the configuration does; refused where the task asks for more arms than it has.
+pub(crate) fn of_config(
+    given: Option<&Bound<'_, PyAny>>,
+    config: &proto::config::Config,
+) -> PyResult<robot::Robot> {
+    let robot = of_argument(given, &config.robot.description)?;
+    let checked = config.task.name.check_arms(&robot.name, robot.n_arms);
+    checked.map_err(|refused| value(format!("{refused}; take another robot or another task")))?;
+    Ok(robot)
+}
