@@ -4,7 +4,7 @@
 //! |---|---|
 //! | a checkpoint's directory | that one |
 //! | `RUN`, `RUN:latest` | the newest of the run's own that is whole |
-//! | `RUN:best` | the one with the lowest score |
+//! | `RUN:best` | of the run's own the one with the lowest score |
 //! | `RUN:50`, `RUN:NAME`, `RUN:TAG` | the one after 50 iterations, of that name, with that tag |
 
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use simulator::robot::Robot;
 use crate::directories::{directories, iteration, name};
 use crate::labels::Labels;
 use crate::manifest::{MANIFEST, Manifest};
-use crate::newest::candidates;
+use crate::newest::{Ownership, candidates};
 
 /// Longest text file that is read, and longest policy (bytes).
 const MAX_TEXT: u64 = 1 << 20;
@@ -100,48 +100,63 @@ fn locate(given: &Path) -> Result<Located, String> {
     if choice == "latest" {
         return Ok(Located::NewestOf { run: run.to_owned(), store });
     }
-    let found = checkpoints(&store);
-    let own = |dir: &PathBuf| iteration(dir).map(|iteration| (iteration, dir.clone()));
-    let chosen = match choice {
-        "best" => {
-            let scored = found.iter().filter_map(own).filter_map(|(iteration, dir)| {
-                let value = Labels::read(&dir).score?.value;
-                value.is_finite().then_some((value, iteration, dir))
-            });
-            let best = scored.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            best.map(|(_, iteration, dir)| (iteration, dir))
-        }
-        choice => {
-            let number = choice.parse::<u64>().ok();
-            let numbered =
-                found.iter().filter_map(own).find(|(iteration, _)| Some(*iteration) == number);
-            let named = || found.iter().find(|dir| name(dir) == choice).map(|dir| (0, dir.clone()));
-            let tagged = || {
-                let tagged =
-                    found.iter().find(|dir| Labels::read(dir).tags.iter().any(|tag| tag == choice));
-                tagged.map(|dir| (0, dir.clone()))
-            };
-            numbered.or_else(named).or_else(tagged)
-        }
-    };
-    chosen.map(|(_, dir)| Located::One(dir)).ok_or_else(|| nothing(run, &store, choice))
+    let chosen = choose(&store, choice).map_err(|error| format!("{shown}: {error}"))?;
+    chosen.map(Located::One).ok_or_else(|| nothing(run, &store, choice))
+}
+
+/// The checkpoint of a store that a choice other than `latest` means.
+fn choose(store: &Path, choice: &str) -> Result<Option<PathBuf>, String> {
+    let found = checkpoints(store);
+    let number = choice.parse::<u64>().ok();
+    let numbered = || found.iter().find(|dir| number.is_some() && iteration(dir) == number);
+    let named = || found.iter().find(|dir| name(dir) == choice);
+    let best = || (choice == "best").then(|| best(store, &found)).flatten();
+    if let Some(dir) = numbered().or_else(named).or_else(best) {
+        return Ok(Some(dir.clone()));
+    }
+    let mut tagged =
+        found.iter().filter(|dir| Labels::read(dir).tags.iter().any(|tag| tag == choice));
+    match (tagged.next(), tagged.next()) {
+        // Killed while it moved a tag, `octopus` leaves it on both.
+        (Some(first), Some(second)) => Err(format!(
+            "the tag `{choice}` is on {} and on {}; tag one of them again",
+            name(first),
+            name(second)
+        )),
+        (first, _) => Ok(first.cloned()),
+    }
+}
+
+/// The run's own checkpoint with the lowest score; of equal ones the earliest. What was copied into the store brings its score, and is not what
+/// the run has come to.
+fn best<'a>(store: &Path, found: &'a [PathBuf]) -> Option<&'a PathBuf> {
+    let ownership = Ownership::of(store);
+    let own = found.iter().filter_map(|dir| Some((iteration(dir)?, dir)));
+    let own = own.filter(|(_, dir)| !ownership.is_foreign(dir, Manifest::read(dir).ok().as_ref()));
+    let scored = own.filter_map(|(iteration, dir)| {
+        let value = Labels::read(dir).score?.value;
+        value.is_finite().then_some((value, iteration, dir))
+    });
+    let best = scored.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    best.map(|(.., dir)| dir)
 }
 
 /// Says that there is no such checkpoint, and which there are.
 fn nothing(run: &Path, store: &Path, choice: &str) -> String {
     let shown = run.display();
-    let mut found = checkpoints(store);
+    let found = checkpoints(store);
     if found.is_empty() {
         return format!("{shown}: holds no checkpoint; give a run, a checkpoint, or RUN:NAME");
     }
-    found.sort();
     let names: Vec<&str> = found.iter().rev().take(12).map(|dir| name(dir)).collect();
     format!("{shown}: holds no checkpoint `{choice}`; it has {}", names.join(", "))
 }
 
-/// All checkpoints that look whole.
+/// All checkpoints that look whole, by name.
 fn checkpoints(store: &Path) -> Vec<PathBuf> {
     let looks_whole =
         |dir: &PathBuf| Manifest::read(dir).is_ok_and(|manifest| manifest.looks_whole(dir));
-    directories(store).filter(looks_whole).collect()
+    let mut found: Vec<PathBuf> = directories(store).filter(looks_whole).collect();
+    found.sort();
+    found
 }
