@@ -4,6 +4,7 @@ use std::num::NonZero;
 use std::panic::resume_unwind;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::Builder;
 
 use pyo3::{PyErr, PyResult};
 use simulator::executor::Executor;
@@ -24,7 +25,7 @@ pub(crate) struct Threads {
 }
 
 impl Threads {
-    /// This many.
+    /// This many, or fewer where the system has no more.
     pub(crate) fn new(n: usize) -> Self {
         Self { n, stop: AtomicBool::new(false), raised: Mutex::new(None) }
     }
@@ -58,8 +59,9 @@ impl Executor for Threads {
             }
         };
         std::thread::scope(|scope| {
-            let others = 1..self.n.min(n_tasks);
-            let others: Vec<_> = others.map(|_| scope.spawn(|| work(&mut || {}))).collect();
+            // Where the system gives no more threads, those that there are do all tasks.
+            let other = || Builder::new().spawn_scoped(scope, || work(&mut || {})).ok();
+            let others: Vec<_> = (1..self.n.min(n_tasks)).map_while(|_| other()).collect();
             work(&mut look);
             for other in others {
                 if let Err(panic) = other.join() {
