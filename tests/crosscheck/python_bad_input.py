@@ -4,6 +4,7 @@ import copy
 import json
 import os
 import pickle
+import resource
 import shutil
 import signal
 import sys
@@ -101,6 +102,7 @@ for index in ({"first": 1 << 32}, {"first": -1}, {"iteration": np.int64(-1)}):
     refused(ValueError, "is out of range, expected 0 to 4294967295", one.reset, 1, **index)
 refused(ValueError, "random numbers are addressed for", one.reset, 1, first=(1 << 32) - 2)
 refused(ValueError, 'expected "training" or "evaluation"', one.reset, goals="easy")
+refused(ValueError, "iteration is 5: goals of an evaluation are those of iteration 0", one.reset, iteration=5, goals="evaluation")
 config, robot = spaceoctopus.Config("paper", set=SHORT), spaceoctopus.Robot("release")
 assert pickle.loads(pickle.dumps(config)) == config != spaceoctopus.Config("paper")
 assert copy.deepcopy(robot).to_toml() == robot.to_toml()
@@ -233,9 +235,12 @@ with tempfile.TemporaryDirectory() as folder:
     # What the run has not come to itself is not its newest, unless there is no other; what is damaged is passed over.
     keep(50, 0.1, imported=True)
     assert newest() == 12, "it is imported"
+    assert load(str(run) + ":best").iteration == 2, "its score is not the run's"
     (run / "metrics.jsonl").write_text("".join('{"iteration": %d, "digest": "%032x"}\n' % (n, n + 1) for n in range(12)))
-    keep(60, 0.1)
+    keep(60, 0.1, tags=["t2"])
     assert newest() == 12, "nothing is recorded of it"
+    assert load(str(run) + ":best").iteration == 2
+    refused(ValueError, "the tag `t2` is on iteration-00000002 and on iteration-00000060; tag one of them again", load, str(run) + ":t2")
     states[12].write_bytes(states[12].read_bytes().swapcase())
     assert newest(12) == 2
     states[2].unlink()
@@ -247,6 +252,8 @@ with tempfile.TemporaryDirectory() as folder:
     two = spaceoctopus.Batch(2, robot=two_arm, set=SHORT)
     two.reset()
     assert two.observation.shape == (2, 4, 62) and two.hand_goal.shape == (2, 2, 6)
+    lone = spaceoctopus.Robot.from_toml("[[arms]]".join(spaceoctopus.Robot(two_arm).to_toml().split("[[arms]]")[:2]))
+    refused(ValueError, "has 1 arm, and task `mixed` needs 2", spaceoctopus.Batch, 1, task="mixed", robot=lone)
 
 refused(ValueError, "shape (8, 61)", policy.act, np.zeros((8, 61)))
 refused(ValueError, "environment 1, agent 0: observation 3 is NaN", policy.act, np.where(np.arange(2 * 8 * 62).reshape(2, 8, 62) == 8 * 62 + 3, np.nan, 0))
@@ -267,6 +274,11 @@ refused(ValueError, "hand_goal has shape (3,), expected (4, 6)", policy.play, 0,
 refused(ValueError, "hand_goal has shape (6, 4), expected (4, 6)", policy.play, 0, 1, hand_goal=np.zeros((6, 4)))
 refused(ValueError, "hand_goal[2] holds inf", policy.play, 0, 1, hand_goal=np.where(np.arange(24).reshape(4, 6) == 13, np.inf, 0))
 refused(ValueError, "base_goal has shape (2,), expected (3,)", policy.play, 0, 1, base_goal=[1, 2])
+refused(ValueError, "base_goal has no meaning here: the policy learned `trajectory`", policy.play, 0, 1, base_goal=[0.1, 0, 0])
+turning = load(ROOT / "deploy" / "policies" / "reorientation")
+one_row = np.where(np.arange(24).reshape(4, 6) // 6 == 2, 0.1, np.nan)
+refused(ValueError, "hand_goal[2] has no meaning here: the policy learned `reorientation`", turning.play, 0, 1, hand_goal=one_row)
+assert turning.play(0, 1, base_goal=[0.1, 0, 0], hand_goal=np.full((4, 6), np.nan))["base_error"].shape == (1, 3)
 postures, twin = spaceoctopus.Postures("guided"), spaceoctopus.Postures("guided")
 known = [np.zeros(3), np.array([1, 0, 0, 0]), np.zeros((4, 6)), np.full((4, 6), 0.1)]
 assert np.array_equal(postures.update(*known), twin.update(*known))
@@ -410,6 +422,17 @@ course(shared, 2)
 assert in_child(lambda: same(course(shared, 1), expected[1])), "a child goes on with what it inherits"
 assert same(course(shared, 3), expected[3]), "and its parent, too"
 assert in_child(lambda: same(course(batch(40), 2), expected[2])), "a child makes its own"
+
+
+def without_threads():
+    """A course where the system gives no thread; one of a common person, as it refuses root none."""
+    if os.geteuid() == 0:
+        os.setuid(65534)
+    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    return same(course(batch(40, threads=4), 1), expected[1])
+
+
+assert in_child(without_threads), "a step is made with the threads that there are"
 
 
 def busy_in_the_parent():

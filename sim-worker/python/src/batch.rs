@@ -106,6 +106,7 @@ impl Batch {
     ///
     /// With `goals="evaluation"` goals are those of `octopus eval --seed SEED` and robots start at home: environment n plays episode `first` + n there. With a
     /// seed `first` is 0 unless it is given; without one and without `first` the episodes after those that were begun last are next.
+    /// They have no other `iteration` than 0.
     ///
     /// `ValueError` if a value is out of range, `RuntimeError` if the batch is closed.
     #[pyo3(signature = (seed = None, *, iteration = None, first = None, goals = None))]
@@ -135,8 +136,12 @@ impl Batch {
             };
             let is_evaluation = next.goals == GoalKind::Evaluation;
             let begin = if is_evaluation {
-                let (iteration, first) = (iteration.unwrap_or(0), first.unwrap_or(evaluated));
-                Begin { iteration, first, ..next }
+                if let Some(other) = iteration.filter(|iteration| *iteration > 0) {
+                    return Err(value(format!(
+                        "iteration is {other}: goals of an evaluation are those of iteration 0"
+                    )));
+                }
+                Begin { iteration: 0, first: first.unwrap_or(evaluated), ..next }
             } else {
                 next.iteration = iteration.unwrap_or(next.iteration);
                 next.first = first.unwrap_or(next.first);

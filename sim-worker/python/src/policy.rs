@@ -12,6 +12,7 @@ use simulator::experiment::{FixedGoals, MOST_RECORDED, Player, Recording, Trial,
 use simulator::policy;
 use simulator::rollout::World;
 use simulator::stepping::act;
+use simulator::task::Aim;
 
 use crate::errors::{guarded, runtime, value};
 use crate::numbers::{array, by_arm, double, has_shape, single_of_any_shape, whole, zeros};
@@ -144,7 +145,8 @@ impl Policy {
     /// "base_quaternion" [T, 4] (w first), "base_angular_velocity" [T, 3] (rad/s, base axes), "joint_angles" [T, arms, J] (rad), "contacts"
     /// [T, 4] (touching pairs: arm and base, arm and mount, arm and itself, two arms).
     ///
-    /// `hand_goal` [arms, 6] (m and Euler angles in rad, world) and `base_goal` [3] (rad) replace the episode's; a row of NaN keeps it.
+    /// `hand_goal` [arms, 6] (m and Euler angles in rad, world) and `base_goal` [3] (rad) replace the episode's; a row of NaN keeps it. `ValueError`
+    /// for a goal of what the policy does not move to a goal.
     #[pyo3(signature = (episode = 0, steps = 200, *, seed = 0, hand_goal = None, base_goal = None))]
     fn play<'py>(
         &self,
@@ -157,10 +159,9 @@ impl Policy {
     ) -> PyResult<Bound<'py, PyDict>> {
         guarded(|| {
             within("steps", steps, MOST_STEPS)?;
-            let n_arms = self.world.dimensions.n_arms;
             let mut trial = Trial::new(Player::new(&self.world, &self.actors), seed, 1, steps);
             trial.goals.env = episode;
-            trial.fixed = fixed(n_arms, hand_goal.as_ref(), base_goal.as_ref())?;
+            trial.fixed = fixed(&self.world, hand_goal.as_ref(), base_goal.as_ref())?;
             recorded(py, &played(py, &trial)?)
         })
     }
@@ -210,22 +211,30 @@ fn played(py: Python<'_>, trial: &Trial<'_>) -> PyResult<Recording> {
     result.map_err(runtime)
 }
 
-/// Goals that are given; a row of NaN stands for one that is drawn.
+/// Goals that are given; a row of NaN stands for one that is drawn. Refused, as by `octopus film`, are those that the policy does not move to.
 fn fixed(
-    n_arms: usize,
+    world: &World,
     hands: Option<&Bound<'_, PyAny>>,
     base: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<FixedGoals> {
+    let task = world.task.name;
+    let meant = |is_meant: bool, what: &str| {
+        let refused =
+            || value(format!("{what} has no meaning here: the policy learned `{}`", task.as_str()));
+        if is_meant { Ok(()) } else { Err(refused()) }
+    };
     let mut fixed = FixedGoals::default();
     if let Some(given) = hands {
         let goals = double(given, "hand_goal")?;
-        has_shape(&goals, "hand_goal", &[n_arms, 6])?;
+        has_shape(&goals, "hand_goal", &[world.dimensions.n_arms, 6])?;
         let numbers = goals.try_readonly()?.as_slice()?.to_vec();
         for (arm, pose) in numbers.as_chunks::<6>().0.iter().enumerate() {
             fixed.hands.push(if pose.iter().all(|x| x.is_nan()) {
                 None
             } else {
-                sensible(&format!("hand_goal[{arm}]"), pose)?;
+                let what = format!("hand_goal[{arm}]");
+                sensible(&what, pose)?;
+                meant(task.reaches() && world.task.aims[arm] == Aim::Hand, &what)?;
                 Some(*pose)
             });
         }
@@ -236,6 +245,7 @@ fn fixed(
         let numbers = goal.try_readonly()?.as_slice()?.to_vec();
         let attitude = <[f64; 3]>::try_from(numbers.as_slice()).expect("three numbers");
         sensible("base_goal", &attitude)?;
+        meant(task.turns(), "base_goal")?;
         fixed.base = Some(attitude);
     }
     Ok(fixed)

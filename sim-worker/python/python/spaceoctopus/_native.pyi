@@ -107,7 +107,7 @@ class Batch:
         first: int | None = None,
         goals: Literal["training", "evaluation"] | None = None,
     ) -> None:
-        """Begins other episodes, and shows them."""
+        """Begins other episodes, and shows them. Those of an evaluation have no other iteration than 0."""
     def step(self, actions: ArrayLike) -> None:
         """Holds actions [N, A, U] (rad/s before scaling) for a control step, and shows what it led to."""
     def close(self) -> None:
@@ -197,7 +197,7 @@ class Policy:
         hand_goal: ArrayLike | None = None,
         base_goal: ArrayLike | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """Plays one held-out episode; returns arrays by name, a row a control step."""
+        """Plays one held-out episode; returns arrays by name, a row a control step. Goals are those that the policy moves to."""
     @property
     def path(self) -> Any:
         """Directory of the checkpoint."""

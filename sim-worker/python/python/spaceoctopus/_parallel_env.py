@@ -17,7 +17,8 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     The seed of ``reset`` is that of a run: with the option ``env``, the first episode is that of environment ``env`` (0) in the run's
     iteration 0, the next reset without a seed begins iteration 1, and so on. With the option ``goals="evaluation"`` goals are those of
-    ``octopus eval``; ``env=e`` is its episode e, without ``env`` the next one begins, with a seed episode 0.
+    ``octopus eval``; ``env=e`` is its episode e, without ``env`` the next one begins, with a seed episode 0. It has no other ``iteration``
+    than 0.
     """
 
     metadata = {"render_modes": [], "name": "spaceoctopus_v0", "is_parallelizable": True}

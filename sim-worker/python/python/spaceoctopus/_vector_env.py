@@ -23,7 +23,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
 
     ``config``, ``task``, ``set``, ``robot`` and ``threads`` are as for ``Batch``. The seed of ``reset`` is that of a run, whose iterations
     are the episodes; environment n is environment n of the run. Options: ``iteration``, ``env`` (index of the first environment) and
-    ``goals`` ("training" or "evaluation": then environment n plays episode ``env`` + n of ``octopus eval``, and the next N episodes follow).
+    ``goals`` ("training" or "evaluation": then environment n plays episode ``env`` + n of ``octopus eval``, and the next N episodes follow;
+    it has no other ``iteration`` than 0).
     """
 
     def __init__(
