@@ -38,7 +38,7 @@ impl Block for ArraySample<BlockHeader> {
 pub enum Receipt {
     /// It will be trained on.
     Fresh,
-    /// It was there already, or its iteration is over; it is dropped.
+    /// It was there already, or its iteration is over, and then it does not count as received; it is dropped.
     Duplicate,
     /// It came from a host whose blocks are not wanted; it is dropped, and does not count as received.
     Unwanted,
@@ -226,6 +226,7 @@ impl<B: Block> Inbox<B> {
     }
 }
 
+/// The membership that a block came by; none if it was made on this machine.
 fn membership(header: &BlockHeader) -> Option<Membership> {
     membership_of(header.worker, header.incarnation)
 }
@@ -263,7 +264,6 @@ pub fn errors(task: TaskName, dimensions: &Dimensions, shards: &[&[f32]]) -> Err
 mod tests {
     use proto::agents::Joints;
     use proto::config::{Layers, Preset};
-
     use proto::message::INCARNATIONS_OF_A_GATEWAY;
 
     use super::*;

@@ -121,7 +121,7 @@ pub enum Order {
         name: String,
     },
     /// The learner shall drop the blocks of a host that it has not begun to train on, and all that come later: it has been
-    /// found to make other bits.
+    /// found to make other bits, or none.
     Discard {
         /// The host.
         host: HostId,

@@ -429,6 +429,12 @@ def without_threads():
     if os.geteuid() == 0:
         os.setuid(65534)
     resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    try:
+        threading.Thread(target=int).start()
+    except RuntimeError:
+        pass
+    else:
+        raise AssertionError("the system gives threads all the same")
     return same(course(batch(40, threads=4), 1), expected[1])
 
 

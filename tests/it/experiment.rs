@@ -203,6 +203,27 @@ fn every_experiment_measures_and_says_with_what() {
     assert_ne!(results[0]["errors"], slow["results"][0]["errors"]);
     all_finite(&reassembly["results"], "reassembly");
 
+    // Beside a policy that learned both, to goals of a person, who gave none to the hands of the second episode.
+    let scratch = tempfile::tempdir().expect("tempdir");
+    let at = |name: &str| scratch.path().join(name).display().to_string();
+    let train = ["train", "mixed", "--run-dir", &at("mixed"), "--workers=1", "--iterations=1"];
+    let output = octopus(&[&train[..], SMALL].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let goals = r#"[{"hands": [[0.4, -1.1, 4.2, 1.6, 0, 1.5]]}, {"base": [0.1, 0, 0]}]"#;
+    std::fs::write(at("goals.json"), goals).expect("writable");
+    let policies = ["reassembly", "--policies", &dir, "--steps=72", "--mixed", &at("mixed")];
+    let drawn = json(&[&policies[..], &["--episodes=2"]].concat());
+    let file = at("goals.json");
+    let own = [&policies[..], &["--goals", &file]].concat();
+    let (given, slow) = (json(&own), json(&[&own[..], &["--action-scale=0.1"]].concat()));
+    let of_mixed = |found: &Value| list(&found["results"]).last().expect("results").clone();
+    let [drawn, given, slow] = [&drawn, &given, &slow].map(of_mixed);
+    assert_eq!((&drawn["by"], &drawn["goals"]), (&"mixed".into(), &"held out".into()));
+    assert_eq!((&given["by"], &given["goals"]), (&"mixed".into(), &"given".into()));
+    assert_eq!(given["episodes"], 2);
+    assert_ne!(given["errors"], drawn["errors"]);
+    assert_ne!(slow["errors"], given["errors"], "it is scaled, too");
+
     let sweeps = ["--sensors=0,10", "--torques=0,5", "--delays=0,1", "--arm-masses=1,2"];
     let noise = run("noise", &sweeps);
     check_identity(&noise, "noise", &dir, &BOTH);

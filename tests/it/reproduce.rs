@@ -6,6 +6,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use rustix::process::Signal;
 use serde_json::Value;
+use tests::guide::repository;
 use tests::{Owned, SMALL, kill, octopus, program, stderr};
 
 use crate::experiment::policies;
@@ -340,6 +341,11 @@ fn reproductions_that_cannot_be() {
     refused(&["--seeds=2"], 2, &["--train"]);
     // What would be refused after hours.
     refused(&[&["--train", "--steps=80"][..], &out].concat(), 2, &["--steps 80 ends before"]);
+    let many = ["--train", "--episodes=1000000"];
+    refused(&[&many[..], &out].concat(), 2, &["more than can be recorded"]);
+    let robot = repository().join("sim-worker/simulator/robots/two-arm.toml");
+    let two = format!("--set=robot.description={}", robot.display());
+    refused(&[&["--train", &two][..], &out].concat(), 3, &["has 2 arms; the stages take four"]);
     let unseen = ["--train", "--set=run.evaluate_every=0"];
     refused(&[&unseen[..], &out].concat(), 2, &["run.evaluate_every = 0", "would be the best"]);
     let unknown = ["--train", "--set=run.colour=1"];

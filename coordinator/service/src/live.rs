@@ -54,7 +54,7 @@ pub struct HostStatus {
     pub missing: u64,
 }
 
-/// Another machine that was thrown out, because it made a block with other bits than this one.
+/// Another machine that was thrown out, because it made a block with other bits than this one, or none.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct RefusedHost {
     /// What it calls itself.
@@ -127,13 +127,13 @@ pub struct Stages {
 pub struct Totals {
     /// Sent by workers.
     pub produced: u64,
-    /// Arrived at the learner, or were compared.
+    /// Arrived at the learner in time, or were compared.
     pub received: u64,
     /// Trained on.
     pub trained: u64,
     /// Arrived twice, or were made by other machines for comparison, and dropped.
     pub duplicate: u64,
-    /// Died with a process, or came from a machine that makes other bits.
+    /// Died with a process, came when their iteration was over, or from a machine that makes other bits.
     pub lost: u64,
 }
 

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum as _;
 use lab::experiments::command_line::typed;
-use lab::reproduce::{MARK, POLICIES, RUNS, check_steps, refused};
+use lab::reproduce::{MARK, POLICIES, RUNS, check_episodes, check_robot, refused};
 use proto::config::{AlgorithmName, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
@@ -45,7 +45,7 @@ pub(super) fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
 pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
     let runs = planned(args, out);
     // What would be refused after hours of training.
-    check_steps(args.steps)?;
+    check_episodes(args.episodes, args.steps)?;
     for run in &runs {
         run.check(args)?;
     }
@@ -126,6 +126,7 @@ impl Run {
         let planned = self.planned(args);
         planned.check()?;
         let config = planned.config()?;
+        check_robot(&run::robots::load_robot_of(&config)?)?;
         let env_steps = config.planned_iterations() * config.steps_per_iteration();
         let run = &config.run;
         if self.is_wanted() && (run.evaluate_every == 0 || env_steps < run.best_after) {

@@ -3,18 +3,18 @@
 //! Temporary files have names of our own, not of the crate `tempfile`: they say what is written and by which process of which
 //! machine, so that what a killed one has left is known for that and removed, and nothing that another machine still writes.
 
-use std::fs::{File, Metadata};
+use std::fs::File;
 use std::io::{ErrorKind, Write as _};
 use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use proto::{ExitCode, ExitError};
 
-/// How long another machine may take to write a file: of what is older nobody writes any more.
-const LONGEST_WRITE: Duration = Duration::from_hours(24);
+/// How long another machine may write nothing of what it has begun: what has not been touched for longer is nobody's any more.
+const LONGEST_PAUSE: Duration = Duration::from_hours(1);
 
 /// Replaces the content of `path`: temporary file beside it, fsync, rename, fsync of the directory.
 pub fn replace(path: &Path, content: &[u8]) -> Result<(), ExitError> {
@@ -37,7 +37,7 @@ pub fn replace_output(path: &Path, content: &[u8]) -> Result<(), ExitError> {
 pub(crate) fn try_place(path: &Path) -> std::io::Result<()> {
     let temporary = temporary(path);
     match File::create_new(&temporary) {
-        // Of a process of the same number that was killed, or of another container: the place takes files.
+        // Of a process of the same number that was killed: the place takes files.
         Err(error) if error.kind() == ErrorKind::AlreadyExists => return Ok(()),
         made => made?,
     };
@@ -131,7 +131,7 @@ fn numbering() -> &'static str {
     })
 }
 
-/// Like [`temporary`], of a directory that is to be made. Nothing is there: in containers numbers of processes come again, and with them what one
+/// Like [`temporary`], of a directory that is to be made. Nothing is there: numbers of processes come again, and with them what one
 /// that was killed had begun.
 pub fn temporary_directory(path: &Path) -> PathBuf {
     let temporary = temporary(path);
@@ -161,7 +161,7 @@ fn sweep_where(directory: &Path, is_meant: impl Fn(&str) -> bool) {
         let Some(there) = entry.metadata().ok().filter(|there| there.uid() == uid) else {
             continue;
         };
-        if !is_meant(begun) || writer.may_live(&there) {
+        if !is_meant(begun) || writer.may_live(&entry.path()) {
             continue;
         }
         let _ = match there {
@@ -186,22 +186,36 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     /// Whether it may still write what is `there`.
-    fn may_live(&self, there: &Metadata) -> bool {
+    fn may_live(&self, there: &Path) -> bool {
         match self.numbering {
             Some(other) if other != numbering() => {
-                let age = there.modified().ok().and_then(|modified| modified.elapsed().ok());
-                age.is_none_or(|age| age < LONGEST_WRITE)
+                let pause = touched(there).and_then(|touched| touched.elapsed().ok());
+                pause.is_none_or(|pause| pause < LONGEST_PAUSE)
             }
             _ => Path::new("/proc").join(self.pid.to_string()).exists(),
         }
     }
 }
 
+/// When something of a file or of a directory was written last.
+fn touched(path: &Path) -> Option<SystemTime> {
+    let own = path.symlink_metadata().ok()?;
+    let below = own.is_dir().then(|| std::fs::read_dir(path)).into_iter().flatten().flatten();
+    let below = below.flatten().filter_map(|entry| touched(&entry.path()));
+    own.modified().into_iter().chain(below).max()
+}
+
 /// Of a name that [`temporary`] gave: that of the file to be replaced, and who was to replace it.
 fn parse_temporary(name: &str) -> Option<(&str, Writer<'_>)> {
     let (begun, writer) = name.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.')?;
+    let is_one = |numbering: &str| {
+        numbering.len() == 8
+            && numbering.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+    };
     let (pid, numbering) = match writer.split_once('-') {
-        Some((pid, numbering)) => (pid, Some(numbering)),
+        Some((pid, numbering)) => {
+            (pid, Some(numbering).filter(|numbering| is_one(numbering))?.into())
+        }
         None => (writer, None),
     };
     let pid = pid.parse().ok().filter(|_| pid.bytes().all(|byte| byte.is_ascii_digit()))?;
@@ -250,6 +264,7 @@ mod tests {
             dir.path().join(format!("config.toml.{dead}.tmp")),
             dir.path().join(format!(".config.toml.{dead}")),
             dir.path().join(".config.toml.old.tmp"),
+            dir.path().join(".draft.2024-05-01.tmp"),
             dir.path().join(format!(".config.toml.+{dead}.tmp")),
             dir.path().join(format!(".{dead}.tmp")),
         ];
@@ -273,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn what_another_machine_writes_stays_for_a_day() {
+    fn what_another_machine_writes_stays_while_it_does() {
         let dir = tempfile::tempdir().expect("tempdir");
         let [new, old] =
             [1, 2].map(|pid| dir.path().join(format!(".sweep.toml.{pid}-0badcafe.tmp")));
@@ -281,7 +296,7 @@ mod tests {
         for path in [&new, &old, &own] {
             std::fs::write(path, "a part").expect("writable");
         }
-        let long_ago = std::time::SystemTime::now() - 2 * LONGEST_WRITE;
+        let long_ago = SystemTime::now() - 2 * LONGEST_PAUSE;
         let file = File::options().write(true).open(&old).expect("there");
         file.set_modified(long_ago).expect("own file");
         sweep(dir.path());

@@ -62,7 +62,7 @@ impl Hosts {
     ) -> Result<HostId, String> {
         if self.refused.contains(shown(name)) {
             return Err(format!(
-                "`{name}` has made a block with other bits than the run's own machine, and is taken back no more; if this \
+                "`{name}` has made a block with other bits than the run's own machine, or could not make one, and is taken back no more; if this \
                  is another machine, join with another --name"
             ));
         }

@@ -10,6 +10,7 @@ use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
+use simulator::robot::Robot;
 
 use super::command_line::{option, path_option};
 use super::common::Common;
@@ -167,13 +168,7 @@ impl Experiment for Study {
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
-        if lab.robot.n_arms < 4 {
-            let message = format!(
-                "the robot `{}` has {} arms; the stages take four",
-                lab.robot.name, lab.robot.n_arms
-            );
-            return Err(ExitError::new(ExitCode::BadInput, message).into());
-        }
+        check_robot(&lab.robot)?;
         if lab.steps <= SECOND_FROM {
             let message =
                 format!("--steps {}: the second arm reaches from step {SECOND_FROM} on", lab.steps);
@@ -231,12 +226,22 @@ impl StageGoals {
     }
 }
 
-/// A stage on held-out goals. The world is that of the base's task, as in the authors' script.
+/// Refuses a robot that has not the arms of the stages.
+pub fn check_robot(robot: &Robot) -> Result<(), ExitError> {
+    if robot.n_arms >= 4 {
+        return Ok(());
+    }
+    let message =
+        format!("the robot `{}` has {} arms; the stages take four", robot.name, robot.n_arms);
+    Err(ExitError::new(ExitCode::BadInput, message))
+}
+
+/// A stage on held-out goals, or a person's own. The world is that of the base's task, as in the authors' script.
 fn set_up<'a>(lab: &'a Lab, stage: &Stage, action_scale: Option<f64>) -> Trial<'a> {
     Trial { phases: stage.phases(lab.robot.n_arms), ..set_up_pair(lab, action_scale) }
 }
 
-/// The pair on held-out goals; who moves what is yet to be said.
+/// The pair on such goals; who moves what is yet to be said.
 fn set_up_pair(lab: &Lab, action_scale: Option<f64>) -> Trial<'_> {
     let (reach, turn) = (lab.policy(TaskName::Trajectory), lab.policy(TaskName::Reorientation));
     let mut trial = lab.trial(reach);
@@ -284,7 +289,9 @@ fn halves(
         goals.iter_mut().zip(lab.own_goals().into_iter().flat_map(|own| &own.given))
     {
         for &arm in &arms {
-            goals.hands[arm] = given.hands[arm].or(goals.hands[arm]);
+            // Arms beyond the end of a list have no goals of a person.
+            let own = given.hands.get(arm).copied().flatten();
+            goals.hands[arm] = own.or(goals.hands[arm]);
         }
         goals.base = given.base.or(goals.base);
     }

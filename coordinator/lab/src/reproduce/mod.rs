@@ -26,7 +26,8 @@ pub use self::place::{
     MARK, POLICIES, RUNS, check_place, curves_beside, default_policies, refused,
 };
 use self::planned::Planned;
-pub use self::study::{Study, check_steps};
+pub use self::study::{Study, check_episodes};
+pub use crate::experiments::reassembly::check_robot;
 use crate::figures::recorded;
 
 /// The page, and the paper's claims beside what was measured.

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use proto::ExitError;
 
+use crate::evaluation::{EPISODES_OR_STEPS, check_recorded};
 use crate::experiments::common::{Beside, Common};
 use crate::experiments::{base_mass, disturbance, noise};
 use crate::identity::ControllerName;
@@ -36,9 +37,11 @@ pub struct Study {
     pub seed: u64,
 }
 
-/// Refuses episodes of so many control steps if an experiment takes more.
-pub fn check_steps(steps: u32) -> Result<(), ExitError> {
-    disturbance::Study::default().check_steps(steps as usize)
+/// Refuses episodes that are too short for an experiment, or too many to be recorded.
+pub fn check_episodes(episodes: Option<u32>, steps: u32) -> Result<(), ExitError> {
+    let (episodes, steps) = (episodes.unwrap_or(1) as usize, steps as usize);
+    check_recorded(episodes, steps, EPISODES_OR_STEPS)?;
+    disturbance::Study::default().check_steps(steps)
 }
 
 impl Study {

@@ -40,10 +40,10 @@
 //! | `actor_lr`, `critic_lr` | | learning rates in force |
 //! | `action_std` | | mean standard deviation of the actions |
 //! | `accounting.produced` | | env-steps that workers sent |
-//! | `accounting.received` | | env-steps that arrived at the learner, or were compared: `trained + duplicate` |
+//! | `accounting.received` | | env-steps that arrived at the learner in time, or were compared: `trained + duplicate` |
 //! | `accounting.trained` | | env-steps trained on |
 //! | `accounting.duplicate` | | env-steps that arrived twice, or that other machines made for comparison, and were dropped |
-//! | `accounting.lost` | | env-steps that died with a worker, or came from a machine that makes other bits: `produced - received` |
+//! | `accounting.lost` | | env-steps that died with a worker, came when their iteration was over, or from a machine that makes other bits: `produced - received` |
 //! | `timing.wait_s`, `.update_s`, `.publish_s`, `.digest_s`, `.copy_s` | s | where the learner's time went |
 //! | `timing.rollout_s` | s | the workers' time for the blocks trained on, summed |
 //!

@@ -72,6 +72,19 @@ impl Audits {
         self.open.len() < before
     }
 
+    /// Whether a worker has said that it cannot make a block, which is being made here.
+    pub(super) fn is_doubted(&self, block: &BlockId) -> bool {
+        self.open.get(block).is_some_and(|pair| pair.fault.is_some())
+    }
+
+    /// The run goes back: nothing is trained on from this iteration on.
+    pub(super) fn go_back(&mut self, iteration: u64) {
+        self.since.retain(|_, span| span.first < iteration);
+        for span in self.since.values_mut() {
+            span.last = span.last.min(iteration.saturating_sub(1));
+        }
+    }
+
     /// Another gateway gives the numbers of hosts to others. What has been trained on stays so.
     pub(super) fn forget_hosts(&mut self) {
         self.open.clear();
@@ -103,5 +116,12 @@ mod tests {
         assert_eq!(audits.take_since(&[(0, 1), (1, 2), (5, 5)]), span(3, 7, 12));
         assert_eq!(audits.take_since(&[(0, 1), (1, 2)]), None);
         assert_eq!(audits.take_since(&[(1, 1)]), span(1, 3, 3), "another machine's");
+        for iteration in [4, 6, 8] {
+            audits.received((2, 1), iteration);
+            audits.received((2, 2), iteration + 4);
+        }
+        audits.go_back(7);
+        assert_eq!(audits.take_since(&[(2, 1)]), span(3, 4, 6), "at most so many");
+        assert_eq!(audits.take_since(&[(2, 2)]), None);
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! The processor of another machine may compute otherwise than its type promises, or be broken. What its workers make
 //! for comparison (see [`trials`](crate::trials)) is made here as well, by the [auditor](crate::auditor), and both
-//! digests must be equal. A host whose block differs is thrown out: its name is refused, its workers are let go, and the
+//! digests must be equal. A host whose block differs is thrown out, and so is one that cannot make a
+//! block that can be made here: its name is refused, its workers are let go, and the
 //! learner drops what it has of it and has not begun to train on. What the learner has trained on since the last
 //! comparison that was good cannot be taken back; it is said.
 
@@ -57,9 +58,6 @@ impl Session<'_> {
         message: String,
         fault: Box<Fault>,
     ) -> Result<(), ExitError> {
-        if self.audits.open.contains_key(&(worker, incarnation, address)) {
-            return Ok(());
-        }
         self.audit(worker, incarnation, address)?;
         match self.audits.open.get_mut(&(worker, incarnation, address)) {
             Some(pair) => {
@@ -118,7 +116,10 @@ impl Session<'_> {
                     self.books.compared(iteration, steps);
                     *self.audits.same.entry(host).or_default() += 1;
                     let name = self.hosts.name(membership);
-                    self.audits.take_since(&self.hosts.memberships(name));
+                    // Another machine of that name that is there now answers for itself.
+                    let mut its = self.hosts.memberships(name);
+                    its.retain(|of| *of == membership || !self.hosts.is_there(*of));
+                    self.audits.take_since(&its);
                     if let Some(scheduler) = &mut self.scheduler
                         && scheduler.trust(host)
                     {
@@ -159,7 +160,7 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Has nothing to do any more with a host that makes other bits.
+    /// Has nothing to do any more with a host that makes other bits, or none where this machine makes some.
     fn throw_out(
         &mut self,
         membership: Membership,

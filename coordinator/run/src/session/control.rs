@@ -50,15 +50,15 @@ impl Session<'_> {
                     if let Ok(before) = &answer
                         && *before != workers
                     {
-                        let name = self.hosts.reports.iter().find(|report| report.host == host);
+                        let report = self.hosts.reports.iter().find(|report| report.host == host);
                         reporter.note(&format!(
                             "host {host} ({}) is to have {} from now on, before {before}",
-                            name.map_or("unknown", |report| &report.name),
+                            report.map_or("unknown", |report| &report.name),
                             output::counted(workers as u64, "worker")
                         ));
                     }
                     let _ = reply.send(answer);
-                    self.scale_hosts()?;
+                    self.scale_hosts(reporter)?;
                 }
                 Command::Checkpoint { reply } => self.snapshots.ask_for(self.reported, reply),
             }

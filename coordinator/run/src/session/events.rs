@@ -94,6 +94,13 @@ impl Session<'_> {
                     reporter.note(&format!("worker {worker}: {message}"));
                     let Some(fault) = fault else { continue };
                     let address = (fault.iteration, fault.shard);
+                    if self.audits.is_doubted(&(worker, incarnation, address)) {
+                        // It has been given the block again before this machine had made it.
+                        if let Some(scheduler) = &mut self.scheduler {
+                            scheduler.give_back(worker, address, now);
+                        }
+                        continue;
+                    }
                     if self.audited(worker, incarnation, address, Err(message.clone())) {
                         continue;
                     }
@@ -113,7 +120,7 @@ impl Session<'_> {
                         self.refuse_hosts()?;
                     }
                     self.hear_hosts(incarnation, orders, hosts, supervisor, reporter);
-                    self.scale_hosts()?;
+                    self.scale_hosts(reporter)?;
                 }
                 other => tracing::warn!(?other, "status of an unknown kind"),
             }

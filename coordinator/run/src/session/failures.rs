@@ -1,7 +1,8 @@
 //! Blocks that cannot be made: counted, written down, and the end of the run at the third time.
 //!
 //! A rollout is a pure function, so what fails by itself fails again, wherever it is made. It is made
-//! again all the same, twice, in case a machine and not the program was at fault. What a person needs
+//! again all the same, twice, in case a machine and not the program was at fault; what another machine cannot make counts only
+//! if this one cannot either. What a person needs
 //! to look into it lands in the run directory:
 //!
 //! ```text

@@ -11,6 +11,8 @@ use crate::scheduler::Scheduler;
 /// The hosts of a session.
 #[derive(Debug, Default)]
 pub(super) struct Hosts {
+    /// The gateway that was heard last.
+    pub(super) gateway: Option<u32>,
     /// Incarnations of the workers that take orders.
     pub(super) workers: BTreeMap<WorkerId, u32>,
     /// What the gateway said last.
@@ -52,10 +54,15 @@ impl Hosts {
         of_name.map(|(membership, _)| *membership).collect()
     }
 
-    /// Nobody is there; names stay, for what they have made may have been trained on.
-    pub(super) fn forget(&mut self) -> Self {
-        let names = self.names.clone();
-        std::mem::replace(self, Self { names, ..Self::default() })
+    /// Whether a host is there now.
+    pub(super) fn is_there(&self, (gateway, host): Membership) -> bool {
+        self.gateway == Some(gateway) && self.reports.iter().any(|report| report.host == host)
+    }
+
+    /// Nobody is there; names stay, for what they have made may have been trained on. The workers that were.
+    pub(super) fn forget(&mut self) -> BTreeMap<WorkerId, u32> {
+        let names = std::mem::take(&mut self.names);
+        std::mem::replace(self, Self { names, ..Self::default() }).workers
     }
 
     /// How many of these blocks, none of which is of this machine, each host has made, by the hosts' names.

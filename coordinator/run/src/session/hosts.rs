@@ -33,6 +33,7 @@ impl Session<'_> {
         supervisor.gateway_lives();
         let now = self.attention.now();
         self.hosts.heard = Some(now);
+        self.hosts.gateway = Some(incarnation);
         // The gateway may not have heard yet whom it is to refuse.
         hosts.retain(|host| !self.audits.refused.contains_key(&host.name));
         self.hosts
@@ -55,13 +56,23 @@ impl Session<'_> {
         self.note_changes(&reports, open, reporter);
     }
 
-    /// Tells the gateway which hosts are to have other numbers of workers, as long as it says otherwise.
-    pub(super) fn scale_hosts(&mut self) -> Result<(), ExitError> {
-        for report in &self.hosts.reports {
-            let wanted = self.hosts.wanted.get(&report.host);
-            if let Some(&workers) = wanted.filter(|wanted| **wanted != report.wanted) {
-                self.orders.send(Order::ScaleHost { host: report.host, workers })?;
+    /// Tells the gateway which hosts are to have other numbers of workers, as long as it says otherwise and they can.
+    pub(super) fn scale_hosts(&mut self, reporter: &mut Reporter) -> Result<(), ExitError> {
+        for HostReport { host, name, wanted, most, .. } in &self.hosts.reports {
+            let Some(&workers) = self.hosts.wanted.get(host).filter(|other| *other != wanted)
+            else {
+                continue;
+            };
+            if workers > *most {
+                // Others have taken the room since it was asked for.
+                self.hosts.wanted.remove(host);
+                reporter.note(&format!(
+                    "host {host} ({name}) stays at {}: it can have {most} at most now",
+                    output::counted(u64::from(*wanted), "worker")
+                ));
+                continue;
             }
+            self.orders.send(Order::ScaleHost { host: *host, workers })?;
         }
         Ok(())
     }
@@ -142,7 +153,7 @@ impl Session<'_> {
     /// Everything starts anew, and hosts join again.
     pub(super) fn forget_hosts(&mut self) {
         self.audits.forget_hosts();
-        for worker in self.hosts.forget().workers.into_keys() {
+        for worker in self.hosts.forget().into_keys() {
             self.spec.live.tell(What::Left { worker: Some(worker) });
         }
     }

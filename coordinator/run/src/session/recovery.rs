@@ -199,6 +199,7 @@ impl Session<'_> {
             reporter.note(&format!("warning: {sentence}"));
         }
         let iteration = from.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
+        self.audits.go_back(iteration);
         reporter.note(&format!("{why}; going on from iteration {iteration} of {}", self.reported));
         reporter.rewind(iteration).map_err(|error| {
             ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be rewound: {error:#}"))

@@ -52,12 +52,6 @@ impl Supervisor {
         })
     }
 
-    /// Which gateway runs now.
-    pub fn gateway_incarnation(&self) -> Option<u32> {
-        let gateway = self.gateway.as_ref()?;
-        matches!(gateway.state, State::Running { .. }).then_some(gateway.incarnation)
-    }
-
     /// When the gateway that runs now was started.
     pub fn gateway_since(&self) -> Option<Instant> {
         match self.gateway.as_ref()?.state {

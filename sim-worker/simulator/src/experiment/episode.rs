@@ -219,7 +219,7 @@ impl Episode {
                 let goals = &mut self.stepper.groups[0].goals;
                 goals.hands[*arm] = pose.map(|x| x as f32);
                 goals.attach_hand(*arm);
-                self.ask_at_the_beginning();
+                self.ask_as_one();
             }
             Event::BaseGoal { attitude } => {
                 finite("the goal", attitude)?;
@@ -231,7 +231,7 @@ impl Episode {
                     within("policy", *policy, self.members.len())?;
                 }
                 self.course.arms[*arm] = *control;
-                self.ask_at_the_beginning();
+                self.ask_as_one();
             }
             Event::Effect { effect, steps } => {
                 effect.check(&self.robot.joints)?;
@@ -326,8 +326,8 @@ impl Episode {
         Ok(())
     }
 
-    /// Goals that are set and arms that are given to players one after the other, before anything moves since goal postures are told, are one question.
-    fn ask_at_the_beginning(&mut self) {
+    /// Goals and arms that are given one after the other in the step in which goal postures were told first are one question.
+    fn ask_as_one(&mut self) {
         if self.course.told == self.course.step {
             let group = &mut self.stepper.groups[0];
             group.errors.forget();
@@ -531,9 +531,6 @@ impl Kernel<f32> for OneStep<'_> {
         let limp: Vec<Effect> = limp.map(|(arm, _)| Effect::Limp { arm }).collect();
         course.effects.retain(|happening| happening.until > step);
         let effects = course.effects.iter().map(|happening| &happening.effect).chain(&limp);
-        if stepper.assign(&players, &arms) {
-            stepper.read();
-        }
         stepper.think(&players, &arms, &course.sensors, step)?;
         stepper.advance(&players, &arms, &effects, step)?;
         course.step += 1;

@@ -208,7 +208,7 @@ pub(super) fn within(what: &'static str, found: usize, limit: usize) -> Result<(
     if found < limit { Ok(()) } else { Err(EventError::Beyond { what, found, limit }) }
 }
 
-/// Refuses what is behind the end, or a place behind `limit`.
+/// Refuses what is more than `limit`.
 pub(super) fn up_to(what: &'static str, found: usize, limit: usize) -> Result<(), EventError> {
     if found <= limit { Ok(()) } else { Err(EventError::Beyond { what, found, limit }) }
 }

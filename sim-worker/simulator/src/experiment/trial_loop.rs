@@ -43,7 +43,8 @@ impl LaneFn for Play<'_, '_> {
                 break;
             }
             let arms = &trial.phase(step).arms;
-            if stepper.assign(players, arms) {
+            let is_handed_over = step > 0 && trial.phase(step - 1).arms != *arms;
+            if is_handed_over && stepper.assign(players, arms) {
                 stepper.read();
             }
             stepper.think(players, arms, &trial.sensors, step)?;

@@ -207,7 +207,9 @@ fn who_comes_later_plays_as_in_a_replay_where_it_sits_from_the_start() {
     for step in 0..steps {
         if step == late {
             assert_eq!(live.seat(None, guided.clone()), Ok(1));
-            events.iter().for_each(|event| live.apply(event).expect("it may happen"));
+            for event in &events {
+                live.apply(event).expect("it may happen");
+            }
         }
         live.step().expect("a step");
         lived.push(row(&live));
