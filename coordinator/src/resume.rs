@@ -22,7 +22,7 @@ use store::checkpoint::{Checkpoint, CheckpointStore, Name};
 use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
-use store::{files, outputs};
+use store::{files, outputs, temporary};
 
 use crate::conclusion::{conclude, print_json, recorded_evaluation};
 use crate::endpoint::HostArgs;
@@ -166,7 +166,7 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     train::check_service(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
-    files::sweep(run_dir.path());
+    temporary::sweep(run_dir.path());
 
     let recorded = store::run_files::read_config(&run_dir)?;
     let (robot, robot_text) = store::run_files::read_robot(&run_dir)?;

@@ -9,8 +9,8 @@ use std::path::Path;
 
 use proto::run_dir::RunDir;
 use store::checkpoint::{CheckpointStore, Name};
-use store::files;
 use store::recorded::Recorded;
+use store::temporary;
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
@@ -45,7 +45,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         return Err(passed_over.into_iter().next().unwrap_or_else(|| nothing(bucket)));
     };
 
-    let scratch = files::temporary_directory(path);
+    let scratch = temporary::directory_beside(path);
     let made = (|| {
         let run = RunDir::new(&scratch);
         let root = run.checkpoints();

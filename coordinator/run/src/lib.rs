@@ -15,6 +15,7 @@
 mod auditor;
 pub mod bus_error;
 pub mod committer;
+mod deadlines;
 pub mod environment;
 pub mod errors;
 pub mod janitor;

@@ -12,7 +12,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
-use store::{files, regular_files};
+use store::{regular_files, temporary};
 
 use super::common::{refused, report, store_to_fill};
 use crate::checkpoints::from_bucket::{self, Found};
@@ -109,7 +109,7 @@ fn write(store: &CheckpointStore, name: &Name, out: &Path) -> anyhow::Result<()>
         let file = File::options().write(true).open(out).map_err(|error| failed(&error))?;
         return pack(&mut BufWriter::new(file));
     }
-    let temporary = files::temporary(out);
+    let temporary = temporary::beside(out);
     let written = (|| {
         let file = File::create(&temporary).map_err(|error| failed(&error))?;
         pack(&mut BufWriter::new(&file))?;

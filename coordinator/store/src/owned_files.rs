@@ -58,7 +58,7 @@ pub fn read_text(path: &Path, others: Others) -> io::Result<String> {
 
 /// Puts a file there that is this user's own from its first moment, in the place of whatever was.
 pub fn replace(path: &Path, content: &[u8]) -> io::Result<()> {
-    let temporary = crate::files::temporary(path);
+    let temporary = crate::temporary::beside(path);
     // Of a process of the same number that was killed.
     let _ = std::fs::remove_file(&temporary);
     let written = (|| {

@@ -11,14 +11,13 @@ use proto::{ExitCode, ExitError};
 
 use super::gateway::{Gateway, Word};
 use super::spec::{Ended, JoinSpec, Left};
+use crate::deadlines::START_DEADLINE;
 use crate::loop_clock::LoopClock;
 use crate::preflight;
 use crate::supervisor::{Death, Supervisor};
 
 /// How long the loop sleeps at most: bounds the time until a death is noticed.
 const TICK: Duration = Duration::from_millis(20);
-/// How long a worker may take at least until it is ready.
-const START_DEADLINE: Duration = Duration::from_secs(10);
 
 /// A membership that has begun.
 pub(super) struct Host<'a> {

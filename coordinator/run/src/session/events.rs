@@ -9,11 +9,11 @@ use proto::{ExitCode, ExitError};
 use service::history::What;
 use store::checkpoint::Name;
 
-use super::deadlines::finish_deadline;
 use super::order_queue::Addressee;
 use super::snapshots::{Evaluation, Phase};
 use super::{Session, StoppedBy};
 use crate::committer::Committed;
+use crate::deadlines::finish_deadline;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
 use crate::supervisor::Supervisor;

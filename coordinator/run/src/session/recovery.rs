@@ -23,7 +23,7 @@ use service::history::What;
 use store::checkpoint::Checkpoint;
 
 use super::Session;
-use super::deadlines::{START_DEADLINE, learner_start_deadline};
+use crate::deadlines::{START_DEADLINE, learner_start_deadline};
 use crate::report::Reporter;
 use crate::resume_point;
 use crate::supervisor::{Cause, Death, Supervisor, log_tail};

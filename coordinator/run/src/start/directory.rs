@@ -9,7 +9,7 @@ use proto::{ExitCode, ExitError};
 use serde_json::json;
 use store::lock::RunLock;
 use store::provenance::{Provenance, Utc};
-use store::{files, regular_files};
+use store::{files, regular_files, temporary};
 
 /// Where runs land without `--run-dir`.
 pub const RUNS: &str = "runs";
@@ -72,7 +72,8 @@ fn holds_only_what_a_start_leaves(path: &Path, was_locked: bool) -> std::io::Res
             Some("run.lock") => kind.is_file(),
             Some("robot.toml") => kind.is_file() && was_locked,
             Some(other) => {
-                let begun = matches!(files::replaced(other), Some("robot.toml" | "config.toml"));
+                let begun =
+                    matches!(temporary::replaced(other), Some("robot.toml" | "config.toml"));
                 begun && kind.is_file() && was_locked
             }
             None => false,

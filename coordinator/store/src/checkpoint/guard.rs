@@ -273,7 +273,7 @@ fn is_stale(path: &Path) -> bool {
 fn sweep_labels(disk: &Disk, dir: &Path) -> Result<(), CheckpointError> {
     let Ok(entries) = fs::read_dir(dir) else { return Ok(()) };
     for entry in entries.flatten() {
-        // As `files::temporary` calls them; a checkpoint has no other hidden file.
+        // As `temporary::beside` calls them; a checkpoint has no other hidden file.
         if entry.file_name().to_string_lossy().starts_with(STUMP) {
             disk.remove_file(&entry.path())?;
         }

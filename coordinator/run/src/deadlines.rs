@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// How long a learner or worker may take at least until it is ready, however short the deadline is
 /// for one that has been heard.
-pub(super) const START_DEADLINE: Duration = Duration::from_secs(10);
+pub(crate) const START_DEADLINE: Duration = Duration::from_secs(10);
 
 /// How long the end of a run may take at least without a step: from the request of the last snapshot to the committed checkpoint, and
 /// then from one piece of its evaluation to the next.
@@ -16,12 +16,12 @@ const STATE_RATE: u64 = 10_000_000;
 
 /// How long a learner with a state of so many bytes may take until it is ready, where one that is ready may be silent for
 /// `deadline`.
-pub(super) fn learner_start_deadline(deadline: Duration, state: u64) -> Duration {
+pub(crate) fn learner_start_deadline(deadline: Duration, state: u64) -> Duration {
     deadline.max(START_DEADLINE) + Duration::from_secs(state / STATE_RATE)
 }
 
 /// How long the end of a run with a state of so many bytes may take without a step.
-pub(super) fn finish_deadline(state: u64) -> Duration {
+pub(crate) fn finish_deadline(state: u64) -> Duration {
     FINISH_DEADLINE + Duration::from_secs(state / STATE_RATE)
 }
 
