@@ -1,7 +1,5 @@
 //! Whatever a client sends: never a panic, never an answer that blames the service.
 
-use std::sync::LazyLock;
-
 use axum::body::Body;
 use axum::http::Request;
 use proptest::prelude::*;
@@ -11,29 +9,35 @@ use super::{Bench, TOKEN};
 use crate::http::limits::Limits;
 use crate::live::LiveRun;
 
-/// One service for all cases; none of them may change what is there.
-static BENCH: LazyLock<(Runtime, Bench)> = LazyLock::new(|| {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let live = LiveRun::new();
-    live.close();
-    let bench = Bench::with(&[1], Some(live), Limits::default());
-    (runtime.expect("a runtime"), bench)
-});
+thread_local! {
+    /// One service for all cases of a test; none of them may change what is there. It goes with the
+    /// thread of the test: its directory would outlive one for all tests, which nobody drops.
+    static BENCH: (Runtime, Bench) = {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let live = LiveRun::new();
+        live.close();
+        let bench = Bench::with(&[1], Some(live), Limits::default());
+        (runtime.expect("a runtime"), bench)
+    };
 
-/// Serialises the cases, which proptest may run in several tests at a time.
-static TURN: std::sync::Mutex<()> = std::sync::Mutex::new(());
+    /// The checkpoint of that service as it travels.
+    static ARCHIVE: Vec<u8> = BENCH.with(|(_, bench)| {
+        let mut archive = Vec::new();
+        let name = "iteration-00000001".parse().expect("a name");
+        bench.store.export(&name, &mut archive).expect("exports");
+        archive
+    });
+}
 
 /// Sends what may not even be a request; `None` if it is none.
 fn status(method: &str, path: &str, range: &[u8], body: Vec<u8>) -> Option<u16> {
-    let _turn = TURN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let (runtime, bench) = &*BENCH;
     let mut request = Request::builder().method(method).uri(path).header("host", "localhost");
     request = request.header("authorization", format!("Bearer {TOKEN}"));
     if let Ok(range) = axum::http::HeaderValue::from_bytes(range) {
         request = request.header("range", &range).header("if-none-match", range);
     }
     let request = request.body(Body::from(body)).ok()?;
-    let answer = runtime.block_on(bench.request(request));
+    let answer = BENCH.with(|(runtime, bench)| runtime.block_on(bench.request(request)));
     if answer.status.is_client_error() && method != "HEAD" {
         answer.error();
     }
@@ -94,29 +98,20 @@ proptest! {
     /// Archives that begin well: one byte of a whole one is another.
     #[test]
     fn archives_with_a_wrong_byte(at in 0usize..8192, byte in any::<u8>()) {
-        static ARCHIVE: LazyLock<Vec<u8>> = LazyLock::new(|| {
-            let mut archive = Vec::new();
-            let (_, bench) = &*BENCH;
-            let name = "iteration-00000001".parse().expect("a name");
-            bench.store.export(&name, &mut archive).expect("exports");
-            archive
-        });
-        let mut archive = ARCHIVE.clone();
+        let mut archive = ARCHIVE.with(Vec::clone);
         archive[at] = byte;
         let status = status("PUT", "/v1/checkpoints/iteration-00000001", b"", archive);
         prop_assert!(status.is_some_and(|status| status < 500), "{at} {byte}: {status:?}");
-        let (_, bench) = &*BENCH;
-        // The other tests here send to the same store meanwhile: what they have under way goes by itself.
-        let mut names = bench.inventory();
+        // What a refused upload had written goes by itself, if not at once.
+        let inventory = || BENCH.with(|(_, bench)| bench.inventory());
+        let mut names = inventory();
         for _ in 0..500 {
-            names.retain(|name| !name.starts_with(".writing-"));
             if names == ["iteration-00000001"] {
                 break;
             }
             std::thread::sleep(std::time::Duration::from_millis(10));
-            names = bench.inventory();
+            names = inventory();
         }
-        names.retain(|name| !name.starts_with(".writing-"));
         prop_assert_eq!(names, ["iteration-00000001"]);
     }
 }
