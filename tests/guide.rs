@@ -255,6 +255,8 @@ case "${{1-}} ${{2-}}" in
   train*) set -- train --no-eval "${{small[@]}}" "${{@:2}}" ;;
   "resume "*) set -- "$@" --no-eval ;;
   "eval "*) set -- "$@" --steps 20 ;;
+  # What has a size got a smaller one above.
+  "film "*) [[ " $* " = *" --size "* ]] || set -- "$@" --size 48x48 ;;
   "experiment base-mass") set -- "$@" --episodes 2 --steps 20 ;;
   "experiment disturbance") set -- "$@" --steps 90 ;;
   "experiment reassembly") set -- "$@" --steps 80 ;;

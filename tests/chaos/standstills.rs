@@ -44,8 +44,6 @@ const ACTS: &[Act] = &[
 const SIZE: u64 = 1 << 30;
 /// Between a first and a second request to stop.
 const BETWEEN_REQUESTS: Duration = Duration::from_secs(5);
-/// Time in which what waited for the disk is written.
-const CATCH_UP: Duration = Duration::from_secs(5);
 
 /// What stands still, and when.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -91,6 +89,14 @@ impl Dose {
             (Self::Short, Beyond::All) => 9,
             (Self::Long, Beyond::Orders) => 75,
             (Self::Long, Beyond::All) => 110,
+        })
+    }
+
+    /// Time in which what waited for the disk is written. Whatever the run trains meanwhile, a calm one trains again.
+    fn catches_up(self) -> Duration {
+        Duration::from_secs(match self {
+            Self::Short => 1,
+            Self::Long => 5,
         })
     }
 
@@ -169,7 +175,7 @@ pub fn run(
     for (time, act) in ACTS.iter().copied().cycle().take(times).enumerate() {
         let so_far = iterations(&run);
         wait_for(&mut run, stop, |run| iterations(run) >= so_far + 30)?;
-        inflict(act, dose.lasts(act.beyond), &mut run, &mut disk, stop)
+        inflict(act, dose, &mut run, &mut disk, stop)
             .with_context(|| format!("{act}; log:\n{}", run.log()))?;
         *report.acts.entry(act.what.name()).or_default() += 1;
         narrate(&format!("{:3}/{times} {act}: survived", time + 1));
@@ -197,11 +203,12 @@ pub fn run(
 /// Lets something stand still, and looks at what comes of it.
 fn inflict(
     act: Act,
-    lasts: Duration,
+    dose: Dose,
     run: &mut Run,
     disk: &mut Disk,
     stop: &StopRequests,
 ) -> Result<()> {
+    let lasts = dose.lasts(act.beyond);
     let before = processes(run);
     ensure!(before.len() == 3, "a learner and two workers: {before:?}");
     match act.what {
@@ -223,7 +230,7 @@ fn inflict(
         }
         Standstill::StoppedTwice => return stop_twice(run, disk, stop),
     }
-    sleep(CATCH_UP, stop)?;
+    sleep(dose.catches_up(), stop)?;
     let so_far = iterations(run);
     wait_for(run, stop, |run| iterations(run) > so_far + 20)?;
     let after = processes(run);
