@@ -87,13 +87,8 @@ impl PlannedRun {
     }
 
     /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
-    /// with other settings or another robot.
-    pub(crate) fn check(&self) -> anyhow::Result<()> {
-        self.check_with(&[])
-    }
-
-    /// The same where some harmless keys of group `run` matter, too.
-    pub(crate) fn check_with(&self, also: &[&str]) -> anyhow::Result<()> {
+    /// with other settings or another robot. Of what is harmless in group `run` the keys `also` matter here.
+    pub(crate) fn check(&self, also: &[&str]) -> anyhow::Result<()> {
         if !self.has_begun()? {
             return Ok(());
         }
@@ -177,7 +172,7 @@ mod tests {
         let out = tempfile::tempdir().expect("tempdir");
         let asked = run(out.path(), &["--set=run.env_steps=6400", "--set=run.workers=3"]);
         let config = asked.config().expect("valid");
-        assert!(asked.check().is_ok(), "it is still to be made");
+        assert!(asked.check(&[]).is_ok(), "it is still to be made");
         std::fs::create_dir_all(&asked.dir).expect("made");
         let robot = run::robots::load_robot(&config.robot.description).expect("built in");
         std::fs::write(asked.run_dir().robot(), robot.to_toml()).expect("written");
@@ -186,16 +181,16 @@ mod tests {
             let mut config = config.clone();
             config.run.precision = precision;
             std::fs::write(asked.run_dir().config(), config.to_toml()).expect("written");
-            asked.check().expect("the same");
+            asked.check(&[]).expect("the same");
             // What changes nothing that is learned may differ.
             let harmless = ["--set=run.env_steps=6400", "--set=run.workers=1"];
-            run(out.path(), &harmless).check().expect("the same");
+            run(out.path(), &harmless).check(&[]).expect("the same");
         }
         for (sets, key) in [
             (&[][..], "run.env_steps"),
             (&["--set=run.env_steps=6400", "--set=network.hidden=[8]"], "network.hidden"),
         ] {
-            let error = run(out.path(), sets).check().expect_err("another").to_string();
+            let error = run(out.path(), sets).check(&[]).expect_err("another").to_string();
             assert!(error.contains("/run: is a run already"), "{error}");
             assert!(error.contains(key) && error.contains("another --out"), "{error}");
         }
@@ -214,14 +209,14 @@ mod tests {
         let config = asked.config().expect("valid");
         std::fs::write(asked.run_dir().config(), config.to_toml()).expect("written");
         std::fs::write(asked.run_dir().robot(), &robot).expect("written");
-        asked.check().expect("the same");
+        asked.check(&[]).expect("the same");
         // What is no part of the robot may change.
         std::fs::write(&file, format!("# A comment.\n{robot}")).expect("written");
-        asked.check().expect("the same");
+        asked.check(&[]).expect("the same");
         let moved = robot.replacen("home_position = [0.0", "home_position = [1.0", 1);
         assert_ne!(moved, robot);
         std::fs::write(&file, moved).expect("written");
-        let error = asked.check().expect_err("another").to_string();
+        let error = asked.check(&[]).expect_err("another").to_string();
         assert!(error.contains("/run: is a run already, of a robot that differs"), "{error}");
         assert!(error.contains("as it is now in home_position; name another --out"), "{error}");
     }
@@ -242,7 +237,7 @@ mod tests {
             let (code, message) = begun().expect_err(words);
             assert_eq!(code, ExitCode::RunDirectory);
             assert!(message.contains("config.toml: ") && message.contains(words), "{message}");
-            asked.check().expect_err(words);
+            asked.check(&[]).expect_err(words);
         };
         std::fs::create_dir(run_dir.checkpoints().join("iteration-00000001")).expect("made");
         refused("results of the run are");

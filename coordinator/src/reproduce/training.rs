@@ -124,12 +124,12 @@ impl Run {
     /// Refuses another run of its name, and one that ends without a policy that is the best where one is wanted.
     fn check(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
         let planned = self.planned(args);
-        planned.check()?;
+        planned.check(&[])?;
         let config = planned.config()?;
         check_robot(&run::robots::load_robot_of(&config)?)?;
         let env_steps = config.planned_iterations() * config.steps_per_iteration();
         let run = &config.run;
-        if self.is_wanted() && (run.evaluate_every == 0 || env_steps < run.best_after) {
+        if self.is_wanted() && !run.may_be_best(env_steps) {
             let message = format!(
                 "with run.evaluate_every = {} and run.best_after = {} no policy of {} is evaluated, so that none would be the best; \
                  evaluate every 10 iterations, say, and after fewer env-steps than the {env_steps} that it trains for",

@@ -114,7 +114,7 @@ impl Place {
                 Some(_) => &["evaluation_episodes", "evaluation_steps"],
                 None => &[],
             };
-            run.check_with(compared).map_err(|error| {
+            run.check(compared).map_err(|error| {
                 let message = format!("trial {}: {}", trial.name, errors::told(&error));
                 ExitError::new(errors::exit_code(&error), message)
             })?;

@@ -145,6 +145,11 @@ impl Run {
         self.evaluate_every > 0 && iterations.is_multiple_of(self.evaluate_every)
     }
 
+    /// Whether a policy that was trained on so many env-steps may be the best: no other is worth an evaluation.
+    pub fn may_be_best(&self, env_steps: u64) -> bool {
+        self.evaluate_every > 0 && env_steps >= self.best_after
+    }
+
     /// The wall-clock limit, if there is one.
     pub fn time_limit(&self) -> Option<std::time::Duration> {
         (self.time_limit_s > 0.0).then(|| std::time::Duration::from_secs_f64(self.time_limit_s))

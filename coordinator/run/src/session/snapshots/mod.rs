@@ -247,9 +247,8 @@ impl Snapshots {
             Phase::Training => self.run.plans_evaluation(iteration),
             Phase::Finishing { evaluate } => evaluate || self.run.plans_evaluation(iteration),
         };
-        // A policy that nobody would call the best is not worth an evaluation.
         let env_steps = iteration * self.steps_per_iteration;
-        if self.run.evaluate_every == 0 || !is_due || env_steps < self.run.best_after {
+        if !is_due || !self.run.may_be_best(env_steps) {
             return Evaluation::default();
         }
         let drop = self.selection.open();
