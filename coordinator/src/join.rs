@@ -22,8 +22,8 @@ Examples:
 The run is one that `octopus train --listen-workers` or `octopus resume --listen-workers` opened. \
 Its configuration and robot come from there; the programs must be of the same build, or the machine \
 is refused with exit code 4. So is one whose certificate the run does not accept. It may come and go at any time, and changes nothing that is learned. \
-It ends when the run does; one that is not heard of for --wait is given up with exit code 1. One \
-Ctrl-C leaves.";
+It ends when the run does. One that was stopped by a signal before its budget was done, or is not heard of, is waited for; \
+after --wait it is given up with exit code 1. One Ctrl-C leaves.";
 
 /// Options of `octopus join`.
 #[derive(Debug, Clone, Args)]

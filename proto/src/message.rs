@@ -131,6 +131,8 @@ pub enum Order {
     /// The learner shall send a snapshot of its state beside those that the configuration plans: at
     /// once if it is between iterations, otherwise after the iteration that it trains on.
     Snapshot,
+    /// What comes before [`Self::Stop`] where a signal ends the run before its budget: machines that help shall wait until it goes on.
+    Unfinished,
     /// Everybody shall finish what is at hand and exit.
     Stop,
 }

@@ -201,9 +201,9 @@ fn who_has_no_certificate_that_fits_is_refused_and_the_run_goes_on() {
     wait_for(&mut run, "(lab-3) helps with 1 worker", 1);
     let done = run.metrics().len();
     run.wait_for_iterations(done + 5);
+    helper.leave();
     run.signal(Signal::INT);
     run.succeed();
-    helper.succeed();
 }
 
 #[test]
@@ -242,9 +242,9 @@ fn who_may_join_changes_while_the_run_goes_on() {
     assert!(text.contains("none of those in the directory"), "{text}");
     let done = run.metrics().len();
     run.wait_for_iterations(done + 5);
+    another.leave();
     run.signal(Signal::INT);
     run.succeed();
-    another.succeed();
 }
 
 #[test]
@@ -359,7 +359,7 @@ fn noise_at_the_port_disturbs_nobody() {
     let mut helper = Machine::join(&endpoint, &["--workers=1", &flag(given.path())]);
     wait_for(&mut run, "(lab-2) helps with 1 worker", 1);
     assert!(run.children("gateway").len() == 1, "{}", run.log());
+    helper.leave();
     run.signal(Signal::INT);
     run.succeed();
-    helper.succeed();
 }

@@ -398,6 +398,30 @@ fn wrong_endpoints_are_refused_and_nobody_is_waited_for_for_ever() {
     assert!(text.contains("cannot be listened at"), "{text}");
 }
 
+/// Ctrl-C at the run, or the time limit of a job: it goes on later, and those who helped are there again.
+#[test]
+fn a_run_that_is_stopped_before_its_budget_is_waited_for() {
+    let expected = alone(40);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=40"]);
+    let learner = hold(&mut run);
+    let mut helper = Machine::join(&endpoint, &["--workers=1", "--wait=2m"]);
+    wait_for(&mut run, "helps with 1 worker", 1);
+    run.signal(Signal::INT);
+    kill(learner, Signal::CONT);
+    assert_eq!(run.wait(), Some(0), "{}", run.log());
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    while !helper.log().contains("the run was stopped before its budget was done; joining again") {
+        assert!(Instant::now() < watchdog && helper.process.ended().is_none(), "{}", helper.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(run.digests().len() < 40, "it was stopped");
+    run.resume(&[&format!("--listen-workers={endpoint}"), "--workers=0"]);
+    run.succeed();
+    assert_eq!(run.digests(), expected);
+    helper.succeed();
+}
+
 #[test]
 fn a_killed_run_is_found_again_when_it_is_resumed() {
     let expected = alone(40);

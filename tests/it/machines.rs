@@ -88,15 +88,25 @@ impl Machine {
         (self.process.code(), self.log())
     }
 
+    /// Has it leave by Ctrl-C, in order.
+    pub(crate) fn leave(&mut self) {
+        kill(self.process.id(), Signal::INT);
+        self.ends_well("left the run");
+    }
+
     /// Waits until the run is over and it has ended in order.
     pub(crate) fn succeed(&mut self) {
+        self.ends_well("the run is over");
+    }
+
+    fn ends_well(&mut self, last: &str) {
         let watchdog = Instant::now() + Duration::from_mins(1);
         while self.process.ended().is_none() {
             assert!(Instant::now() < watchdog, "it does not end; its log:\n{}", self.log());
             std::thread::sleep(Duration::from_millis(10));
         }
         assert!(self.process.succeeded(), "its log:\n{}", self.log());
-        assert!(self.log().contains("the run is over"), "{}", self.log());
+        assert!(self.log().contains(last), "{}", self.log());
     }
 }
 

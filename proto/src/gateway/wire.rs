@@ -103,8 +103,17 @@ pub struct HubBeat {
     pub policies: Vec<u64>,
     /// Hosts that it knows, and how many workers each is to have; one that finds itself forgotten has to join again.
     pub hosts: Vec<(HostId, u32)>,
-    /// Whether the run is over.
-    pub over: bool,
+    /// Whether the run has come to its end, and to which.
+    pub end: Option<RunEnd>,
+}
+
+/// Why a hub says its last word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RunEnd {
+    /// As was planned.
+    Over,
+    /// A signal has stopped the run before; it may be resumed.
+    Stopped,
 }
 
 /// What a host says twice a second and whenever it changes.

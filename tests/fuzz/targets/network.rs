@@ -115,7 +115,7 @@ fn seeds() -> Vec<Vec<u8>> {
             session: "0123456789ab".to_owned(),
             policies: vec![3, 4],
             hosts: vec![(1, 4), (2, 1)],
-            over: false,
+            end: None,
         })),
         word(encode(&HostBeat { workers: vec![0, 1, 7] })),
         json(&Hello {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use channels::Role;
 use proto::certificates::CertificateDir;
 use proto::gateway::pieces::Content;
-use proto::gateway::wire::{HostBeat, HubBeat, Welcome};
+use proto::gateway::wire::{HostBeat, HubBeat, RunEnd, Welcome};
 use proto::gateway::{Place, Said, Told};
 use proto::message::{self, HEARTBEAT, Order, PortId, Status};
 use proto::run_dir::RunDir;
@@ -193,8 +193,13 @@ impl Host<'_> {
             let message = "the run has begun anew; this machine has to join again";
             return Err(ExitError::new(ExitCode::Failure, message));
         };
-        if beat.over {
-            return Ok(Course::Over);
+        match beat.end {
+            None => {}
+            Some(RunEnd::Over) => return Ok(Course::Over),
+            Some(RunEnd::Stopped) => {
+                let message = "the run was stopped before its budget was done";
+                return Err(ExitError::new(ExitCode::Failure, message));
+            }
         }
         if *wanted != self.wanted {
             self.wanted = *wanted;

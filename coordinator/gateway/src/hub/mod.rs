@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use channels::Role;
 use proto::gateway::pieces::Content;
-use proto::gateway::wire::HubBeat;
+use proto::gateway::wire::{HubBeat, RunEnd};
 use proto::message::{self, HEARTBEAT, Order, Status, WORKERS_OF_A_HOST, WorkerId};
 use proto::{ExitCode, ExitError};
 use zenoh::qos::CongestionControl;
@@ -56,6 +56,7 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
         incarnation: arguments.incarnation,
         deadline,
         said: None,
+        unfinished: false,
         reception,
         ports,
     };
@@ -84,6 +85,8 @@ struct Hub {
     deadline: Duration,
     /// When hosts and coordinator heard of this hub last.
     said: Option<Instant>,
+    /// The run ends before its budget.
+    unfinished: bool,
     ports: Ports,
 }
 
@@ -103,7 +106,7 @@ impl Hub {
             }
             self.take_policies()?;
             if self.take_orders()? {
-                self.tell_hosts(true);
+                self.tell_hosts(Some(if self.unfinished { RunEnd::Stopped } else { RunEnd::Over }));
                 std::thread::sleep(LAST_WORD);
                 return Ok(());
             }
@@ -118,7 +121,7 @@ impl Hub {
                     let message = "others may join now; a gateway with their names takes over";
                     return Err(ExitError::new(ExitCode::Failure, message));
                 }
-                self.tell_hosts(false);
+                self.tell_hosts(None);
                 self.ports.say(&Status::Hosts {
                     incarnation: self.incarnation,
                     orders: self.ports.orders.port(),
@@ -154,14 +157,15 @@ impl Hub {
     }
 
     /// Tells hosts which policies there are. What is lost on the way comes again soon.
-    fn tell_hosts(&self, over: bool) {
+    fn tell_hosts(&self, end: Option<RunEnd>) {
         let beat = HubBeat {
             session: self.reception.session.clone(),
             policies: self.policies.versions(),
             hosts: self.hosts.wanted(),
-            over,
+            end,
         };
-        let congestion = if over { CongestionControl::Block } else { CongestionControl::Drop };
+        let congestion =
+            if end.is_some() { CongestionControl::Block } else { CongestionControl::Drop };
         let put = self.session.put(keys::BEAT, message::encode(&beat));
         if let Err(error) = put.congestion_control(congestion).wait() {
             tracing::warn!(%error, "hosts could not be told what there is");
@@ -172,7 +176,7 @@ impl Hub {
         while let Some(sample) = self.ports.policy.try_receive()? {
             let version = sample.header().version;
             self.policies.add(version, bytemuck::cast_slice(sample.payload()).to_vec());
-            self.tell_hosts(false);
+            self.tell_hosts(None);
         }
         Ok(())
     }
@@ -199,6 +203,7 @@ impl Hub {
                 Err(error) => return Err(error.into()),
             };
             match &order {
+                Order::Unfinished => self.unfinished = true,
                 Order::Stop => return Ok(true),
                 Order::Refuse { name } if self.hosts.refuse(name) => {
                     tracing::warn!(name, "makes other bits and is refused");

@@ -323,12 +323,18 @@ impl<'a> Session<'a> {
             if self.scheduler.as_ref().is_some_and(Scheduler::is_finished)
                 && let Some(checkpoint) = self.finish(reporter)?
             {
+                let stopped_by = self.stopped_by.unwrap_or_else(|| self.reason_to_end());
+                // A time limit is an end that was asked for; a signal may be a machine's that is wanted for something else.
+                let is_short = self.reason_to_end() != StoppedBy::Budget;
+                if stopped_by == StoppedBy::Signal && is_short {
+                    self.orders.send(Order::Unfinished)?;
+                }
                 self.orders.send(Order::Stop)?;
                 supervisor.wait_for_all(EXIT_DEADLINE);
                 return Ok(RunResult {
                     iterations: self.reported,
                     env_steps: self.reported * self.spec.config.steps_per_iteration(),
-                    stopped_by: self.stopped_by.unwrap_or_else(|| self.reason_to_end()),
+                    stopped_by,
                     checkpoint,
                 });
             }
