@@ -277,6 +277,8 @@ mod tests {
         assert!(seen > 20, "{seen}");
         for (line, wanted) in [
             ("octopus experiment noise --sensors -0.3,1", "wants numbers, 0 or more"),
+            ("octopus experiment noise --arm-masses 0,1", "wants numbers above 0"),
+            ("octopus experiment reassembly --action-scale 0", "wants a number above 0"),
             ("octopus experiment disturbance --force -inf", "wants a number, 0 or more"),
             ("octopus train --time-limit -10m", "wants a time such as"),
             ("octopus train --seed --json", "wants a whole number"),
@@ -284,6 +286,19 @@ mod tests {
             let error = Cli::try_parse_from(line.split(' ')).expect_err(line);
             assert_eq!(error.kind(), clap::error::ErrorKind::ValueValidation, "{line}");
             assert!(error.to_string().contains(wanted), "{error}");
+        }
+        // clap asks for what an option requires only where nothing that is given excludes that.
+        for line in [
+            "octopus reproduce --policies a --set b=1",
+            "octopus reproduce --controller jacobian --seeds 2",
+            "octopus reproduce --runs a --baselines ppo",
+            "octopus record a --out b --seed 1 --env 2",
+            "octopus record --plan a --out b --policy c",
+            "octopus record a --out b --robot release",
+            "octopus record a --out b --state c",
+        ] {
+            let error = Cli::try_parse_from(line.split(' ')).expect_err(line);
+            assert_eq!(error.kind(), clap::error::ErrorKind::ArgumentConflict, "{line}");
         }
         for (line, said) in [
             ("octopus train --preset -1", "possible values: guided, tuned, paper, release, robust"),

@@ -17,7 +17,7 @@ use store::outputs::{self, Input, Output};
 
 use crate::names::Named;
 use crate::trajectories::{MARK, write_table};
-use crate::values::{Amounts, amount, amounts, whole};
+use crate::values::{Amounts, above_zero, all_above_zero, amount, amounts, whole};
 
 const GROUP_EXAMPLES: &str = "\
 Examples:
@@ -237,10 +237,10 @@ pub struct BaseMassArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// Masses of the cube (kg).
-    #[arg(long, value_name = "M,M,…", default_value = "100,200,300,400,500,600,700,800,900,1000", allow_hyphen_values = true, value_parser = amounts)]
+    #[arg(long, value_name = "M,M,…", default_value = "100,200,300,400,500,600,700,800,900,1000", allow_hyphen_values = true, value_parser = all_above_zero)]
     pub masses: Amounts,
     /// Attitude errors that count as reached (rad).
-    #[arg(long, value_name = "E,E,…", default_value = "0.01,0.02,0.03,0.05,0.1", allow_hyphen_values = true, value_parser = amounts)]
+    #[arg(long, value_name = "E,E,…", default_value = "0.01,0.02,0.03,0.05,0.1", allow_hyphen_values = true, value_parser = all_above_zero)]
     pub thresholds: Amounts,
 }
 
@@ -252,7 +252,7 @@ pub struct ReassemblyArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// Factor from the actions of all arms to their commands [default: each policy's own].
-    #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = amount)]
+    #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = above_zero)]
     pub action_scale: Option<f64>,
     /// A policy of task `mixed`: it and the two policies play its task on the same goals, too.
     #[arg(long, value_name = "RUN_DIR|CHECKPOINT")]
@@ -276,7 +276,7 @@ pub struct NoiseArgs {
     #[arg(long, value_name = "N,N,…", default_value = "0,1,2", allow_hyphen_values = true, value_parser = amounts)]
     pub delays: Amounts,
     /// Multiples of the arms' mass.
-    #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_hyphen_values = true, value_parser = amounts)]
+    #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_hyphen_values = true, value_parser = all_above_zero)]
     pub arm_masses: Amounts,
     /// Another policy to measure beside them, or a controller: `jacobian` or `postures`. Once for each.
     #[arg(long, value_name = "CHECKPOINT|NAME")]

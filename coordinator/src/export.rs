@@ -63,11 +63,7 @@ struct Report<'a> {
 /// Exports.
 pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let out = args.out.as_path();
-    outputs::check_outside("--out", out)?;
-    if out.symlink_metadata().is_ok() {
-        let message = format!("--out {}: is there already; name another place", out.display());
-        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
-    }
+    outputs::check_new_directory("--out", out)?;
     let steps = EvaluationOptions::default().steps;
     check_recorded(args.episodes as usize, steps, "--episodes")?;
     let trained = Trained::new(open_checkpoint(&args.path)?, None)?;

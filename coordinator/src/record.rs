@@ -51,10 +51,10 @@ pub struct RecordArgs {
     #[arg(long, value_name = "SEED/ITERATION/SHARD", allow_hyphen_values = true, value_parser = address, conflicts_with_all = ["seed", "episode", "steps"])]
     pub address: Option<BlockAddress>,
     /// Which environment of the block, counted from 0.
-    #[arg(long, value_name = "N", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u32>(0, 999_999), requires = "address")]
+    #[arg(long, value_name = "N", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u32>(0, 999_999), requires = "address", conflicts_with_all = ["seed", "episode", "steps", "plan"])]
     pub env: u32,
     /// A checkpoint whose policy makes the block, instead of the run's own.
-    #[arg(long, value_name = "RUN_DIR|CHECKPOINT", requires = "address")]
+    #[arg(long, value_name = "RUN_DIR|CHECKPOINT", requires = "address", conflicts_with_all = ["seed", "episode", "steps", "plan"])]
     pub policy: Option<PathBuf>,
     /// Commands that `octopus plan` has written, instead of a policy's.
     #[arg(long, value_name = "PLAN.csv", conflicts_with_all = ["source", "address", "seed", "episode", "steps"])]
@@ -65,11 +65,12 @@ pub struct RecordArgs {
         allow_negative_numbers = true,
         value_name = "NAME|FILE",
         default_value = "paper",
-        requires = "plan"
+        requires = "plan",
+        conflicts_with_all = ["source", "address", "seed", "episode", "steps"]
     )]
     pub robot: String,
     /// The plan begins where the trajectory in this file ends, instead of at home.
-    #[arg(long, value_name = "FILE.csv", requires = "plan")]
+    #[arg(long, value_name = "FILE.csv", requires = "plan", conflicts_with_all = ["source", "address", "seed", "episode", "steps"])]
     pub state: Option<PathBuf>,
     /// The recording, an MCAP file.
     #[arg(long, value_name = "FILE.mcap")]

@@ -140,6 +140,12 @@ pub(crate) fn amounts(text: &str) -> Result<Amounts, String> {
     values.map(Amounts).map_err(|_| "wants numbers, 0 or more, such as 0,0.5,1".to_owned())
 }
 
+/// Numbers that are positive, with commas between them.
+pub(crate) fn all_above_zero(text: &str) -> Result<Amounts, String> {
+    let values: Result<Vec<f64>, String> = text.split(',').map(above_zero).collect();
+    values.map(Amounts).map_err(|_| "wants numbers above 0, such as 0.5,1,2".to_owned())
+}
+
 /// How long to measure, in seconds.
 pub(crate) fn measuring_time(text: &str) -> Result<f64, String> {
     let wanted = "wants a number of seconds above 0 and at most 3600, such as 5";

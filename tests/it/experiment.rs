@@ -326,13 +326,17 @@ fn experiments_that_cannot_be() {
     let wrong = ["arm-failure", "--reorientation", &run];
     refused(&wrong, 3, &["learned `trajectory`", "a policy for `reorientation` is wanted"]);
     let late = ["disturbance", "--steps=80"];
-    refused(&[&late, &all[..]].concat(), 2, &["--steps 80 ends before", "--at 75"]);
+    refused(
+        &[&late, &all[..]].concat(),
+        2,
+        &["--steps 80 ends before", "begins at step 75; it takes 86 at least"],
+    );
     refused(&[&["arm-failure", "--arm=5"], &all[..]].concat(), 3, &["no arm 5", "has 4"]);
     refused(&[&["noise", "--delays=0.5"], &all[..]].concat(), 2, &["0.5 is no whole number"]);
     let lone = ["noise", "--reorientation", &format!("{dir}/reorientation"), "--beside", &run];
     refused(&lone, 3, &["learned `trajectory`", "no policy of that task is measured here"]);
-    refused(&[&["base-mass", "--masses=0"], &all[..]].concat(), 2, &["leave 0 out"]);
-    refused(&[&["base-mass", "--thresholds=0"], &all[..]].concat(), 2, &["leave it out"]);
+    refused(&[&["base-mass", "--masses=0"], &all[..]].concat(), 2, &["wants numbers above 0"]);
+    refused(&[&["base-mass", "--thresholds=0"], &all[..]].concat(), 2, &["wants numbers above 0"]);
     let two = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
     let other = ["precision", "--robot", two];
     refused(&[&other, &all[..]].concat(), 3, &["moves 4 arms", "has 2"]);

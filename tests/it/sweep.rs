@@ -316,6 +316,9 @@ fn a_sweep_that_is_killed_again_and_again_ends_with_the_same_bits_and_scores() {
 #[test]
 fn ctrl_c_lets_trials_commit_and_the_same_command_goes_on() {
     let sweep = Sweep::new(&GRID.replace("iterations = 4", "iterations = 400"));
+    let early = sweep.call(&["--table"]);
+    assert_eq!(early.status.code(), Some(5), "{}", stderr(&early));
+    assert!(stderr(&early).contains("no sweep has begun there"), "{}", stderr(&early));
     let mut process = sweep.start(&["--jobs=2"]);
     let names = ["gamma=0.9,seed=1", "gamma=0.9,seed=2"];
     for name in names {

@@ -33,7 +33,7 @@ the MAPPO runs whose best checkpoints have the lowest scores, and land in OUT/po
 #[command(after_help = EXAMPLES)]
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct ReproduceArgs {
-    /// A directory that holds `trajectory` and `reorientation`, perhaps `robust`, too: a policy that learned with a robot that errs [default: deploy/policies, where it exists].
+    /// A directory that holds `trajectory` and `reorientation`, perhaps `robust`, too: a policy that learned with a robot that errs [default: deploy/policies, here or above the program].
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
     /// A controller that is not learned, instead of policies: the yardstick beside which they stand.
@@ -47,13 +47,13 @@ pub struct ReproduceArgs {
     #[arg(long, conflicts_with_all = ["policies", "runs"], help_heading = "Training")]
     pub train: bool,
     /// Runs of each algorithm and task, with the seeds 1 to N; the best one of MAPPO gives the policy.
-    #[arg(long, value_name = "N", default_value_t = 3, requires = "train", allow_hyphen_values = true, value_parser = whole::<u64>(1, 1000), help_heading = "Training")]
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "train", conflicts_with_all = ["policies", "runs", "controller"], allow_hyphen_values = true, value_parser = whole::<u64>(1, 1000), help_heading = "Training")]
     pub seeds: u64,
     /// What MAPPO is compared with. Without a value: nothing, only MAPPO is trained.
-    #[arg(long, allow_negative_numbers = true, value_name = "LIST", value_enum, num_args = 0.., default_value = "ppo,maddpg", value_delimiter = ',', requires = "train", help_heading = "Training")]
+    #[arg(long, allow_negative_numbers = true, value_name = "LIST", value_enum, num_args = 0.., default_value = "ppo,maddpg", value_delimiter = ',', requires = "train", conflicts_with_all = ["policies", "runs", "controller"], help_heading = "Training")]
     pub baselines: Vec<Named<AlgorithmName>>,
     /// Change one key of all trainings; may be given again: --set run.env_steps=4000000.
-    #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment, requires = "train", help_heading = "Training")]
+    #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment, requires = "train", conflicts_with_all = ["policies", "runs", "controller"], help_heading = "Training")]
     pub sets: Vec<String>,
     /// Where everything goes [default: reproduction-YYYYMMDD-HHMMSS].
     #[arg(long, value_name = "DIR")]

@@ -236,7 +236,12 @@ fn listed(keys: &mut Keys<'_>) -> anyhow::Result<Option<Vec<Vec<Assignment>>>> {
 fn assignments(origin: &str, group: &str, table: Table) -> anyhow::Result<Vec<Assignment>> {
     let mut flat = Vec::new();
     flatten("", table, &mut flat);
-    for (key, _) in &flat {
+    for (at, (key, _)) in flat.iter().enumerate() {
+        // Dotted and in quotes: two keys to TOML, one to a configuration.
+        if flat[..at].iter().any(|(before, _)| before == key) {
+            let message = format!("{origin}: key `{key}` is in [{group}] twice; leave one of them");
+            return Err(ExitError::new(ExitCode::BadInput, message).into());
+        }
         if let Some((_, cure)) = OWN.iter().find(|(own, _)| own == key) {
             let message = format!("{origin}: `{key}` in [{group}]: {cure} of the sweep set it");
             return Err(ExitError::new(ExitCode::BadInput, message).into());
@@ -350,7 +355,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_said_with_file_and_key() {
         for (text, words) in [
-            ("seeds = [", "dir/sweep.toml: not valid TOML"),
+            ("seeds = [", "dir/sweep.toml: not valid TOML: line 1, `seeds = [`: "),
             ("sedes = [1]", "unknown key `sedes`; did you mean `seeds`?"),
             ("seeds = []", "key `seeds` wants a list of whole numbers"),
             ("seeds = [1, 1]", "none of them twice"),
@@ -368,6 +373,11 @@ mod tests {
             ("[grid]\nalgorithm.gamma = []", "one at least"),
             ("[grid]\nrun.seed = [1]", "`run.seed` in [grid]: `seeds` of the sweep set it"),
             ("[set]\nrun.env_steps = 3", "`iterations` or `env_steps`"),
+            (
+                "[grid]\n\"algorithm.gamma\" = [0.9]\nalgorithm.gamma = [0.8]",
+                "key `algorithm.gamma` is in [grid] twice",
+            ),
+            ("env_steps = 1e30", "key `env_steps` wants a whole number, 9"),
             ("trials = []", "`trials` is empty"),
             ("trials = [1]", "key `trials` wants tables"),
             ("[halving]", "key `halving.rungs` wants a list of shares"),

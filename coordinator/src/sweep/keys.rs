@@ -48,7 +48,7 @@ impl<'a> Keys<'a> {
     pub(super) fn whole(&mut self, key: &str, least: u64) -> Result<Option<u64>, ConfigError> {
         let Some(value) = self.take(key) else { return Ok(None) };
         let expected = match &value {
-            Value::Integer(value) if *value > MAX_COUNT as i64 => {
+            value if number(value).is_some_and(|value| value > MAX_COUNT as f64) => {
                 format!("a whole number, {MAX_COUNT} at most")
             }
             _ => format!("a whole number, {least} or more"),

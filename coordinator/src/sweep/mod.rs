@@ -54,13 +54,19 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
         return show(&plan, &slots, args.json);
     }
     if args.table {
+        place.check_begun()?;
         return print(args, &place, &outcome(&plan, &place.records(&plan)));
     }
     let only = args.trial.map(|trial| trial - 1);
     if let Some(only) = only
         && only >= trials
     {
-        let message = format!("--trial {}: {} has {trials} trials", only + 1, args.file.display());
+        let message = format!(
+            "--trial {}: {} has {}",
+            only + 1,
+            args.file.display(),
+            output::counted(trials as u64, "trial")
+        );
         return Err(ExitError::new(ExitCode::Usage, message).into());
     }
     // What no trial could do without.

@@ -85,6 +85,15 @@ impl Place {
         self.0.join(RECORDS).join(format!("{trial}.log"))
     }
 
+    /// Refuses a directory in which no sweep has begun.
+    pub(super) fn check_begun(&self) -> anyhow::Result<()> {
+        if self.0.join(SWEEP).is_file() {
+            return Ok(());
+        }
+        let what = "no sweep has begun there; the same command without --table begins it, --dry-run shows its trials";
+        Err(refused(&self.0, what).into())
+    }
+
     /// Refuses a directory that something else was made in, and one of another sweep. Trials may be added to a sweep; what has
     /// begun may neither change nor be left out.
     pub(super) fn check(&self, plan: &Plan) -> anyhow::Result<()> {

@@ -88,18 +88,21 @@ impl Output<'_> {
 
     /// Refuses a file in a directory that is not there or takes none, as writing it would, but before the work.
     fn check_place(&self) -> Result<(), ExitError> {
-        let parent = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
-        let reason = match parent.filter(|parent| !parent.is_dir()) {
-            Some(parent) => format!("{} is no directory", parent.display()),
-            None => match files::try_place(self.path) {
-                Ok(()) => return Ok(()),
-                Err(error) => error.to_string(),
-            },
-        };
-        let (flag, shown) = (self.flag, self.path.display());
-        let message = format!("{flag} {shown}: cannot be written: {reason}");
-        Err(ExitError::new(ExitCode::Failure, message))
+        check_place(self.flag, self.path)
     }
+}
+
+fn check_place(flag: &str, path: &Path) -> Result<(), ExitError> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+    let reason = match parent.filter(|parent| !parent.is_dir()) {
+        Some(parent) => format!("{} is no directory", parent.display()),
+        None => match files::try_place(path) {
+            Ok(()) => return Ok(()),
+            Err(error) => error.to_string(),
+        },
+    };
+    let message = format!("{flag} {}: cannot be written: {reason}", path.display());
+    Err(ExitError::new(ExitCode::Failure, message))
 }
 
 /// Refuses a file name that promises another format than the one that is written.
@@ -122,6 +125,16 @@ pub fn check_outside(flag: &str, path: &Path) -> Result<(), ExitError> {
         path.display(),
         owner.display()
     )))
+}
+
+/// Refuses a place for a directory that a command makes whole, if something is there or nothing can be made there.
+pub fn check_new_directory(flag: &str, path: &Path) -> Result<(), ExitError> {
+    check_outside(flag, path)?;
+    if path.symlink_metadata().is_ok() {
+        let message = format!("{flag} {}: is there already; name another place", path.display());
+        return Err(refused(message));
+    }
+    check_place(flag, path)
 }
 
 /// Refuses a directory that holds anything else than what `ours` names, or that is a run or a checkpoint or lies

@@ -448,7 +448,7 @@ fn check_holds(args: &Common, task: TaskName, path: &Path) -> Result<(), ExitErr
     let message = if dir.is_dir() {
         format!(
             "--policies {shown}: holds no `{name}`; wanted is a directory with `trajectory` and `reorientation`, each \
-             a run directory, a directory of checkpoints or a checkpoint; {} names a policy from elsewhere",
+             a run directory, a directory of checkpoints or a checkpoint; {} of `octopus experiment` names a policy from elsewhere",
             flag(task)
         )
     } else {

@@ -164,9 +164,6 @@ impl Experiment for Study {
                 "--delays: {delay} is no whole number of steps up to {MAX_DELAY}"
             ));
         }
-        if self.arm_masses.contains(&0.0) {
-            return usage("--arm-masses: arms have a mass; leave 0 out".to_owned());
-        }
         for &factor in &self.arm_masses {
             lab.check_fit(&lab.robot.with_arm_mass(factor)?, &format!("--arm-masses {factor:?}"))?;
         }

@@ -43,8 +43,9 @@ impl Study {
             return Ok(());
         }
         let message = format!(
-            "--steps {steps} ends before the disturbance has: with --at {} it takes more than {longest}",
-            self.at
+            "--steps {steps} ends before the disturbance has, which begins at step {}; it takes {} at least",
+            self.at,
+            longest + 1
         );
         Err(ExitError::new(ExitCode::Usage, message))
     }
