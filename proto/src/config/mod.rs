@@ -40,7 +40,7 @@ pub use optimizer::{Optimizer, Schedule};
 pub use preset::Preset;
 pub use resolved::Config;
 pub use run::{Precision, Run};
-pub use tables::{hint, parse};
+pub use tables::{hint, in_line, parse};
 pub use task::{
     JointAngles, Observation, Posture, Randomization, Reward, RewardWeights, Start, Task,
 };

@@ -11,8 +11,17 @@ use crate::ConfigError;
 pub fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
     text.parse::<Table>().map_err(|error| ConfigError::Syntax {
         origin: origin.to_owned(),
-        message: error.to_string().trim_end().to_owned(),
+        message: in_line(&error, text, &error.message().replace('\n', " ")),
     })
+}
+
+/// What is `said` about `text`, after the line of it that the parser finds at fault.
+pub fn in_line(error: &toml::de::Error, text: &str, said: &str) -> String {
+    let at = error.span().and_then(|span| text.get(..span.start));
+    let Some(before) = at else { return said.to_owned() };
+    let number = before.matches('\n').count();
+    let line = text.lines().nth(number).unwrap_or_default().trim();
+    format!("line {}, `{line}`: {said}", number + 1)
 }
 
 /// What a key wants whose value is like `example`.

@@ -134,8 +134,10 @@ pub(super) fn read_iterations(path: &Path, first: u64) -> Result<Vec<Iteration>,
         .enumerate()
         .map(|(index, (line, expected))| {
             let number = index + 1;
-            let found: Iteration = serde_json::from_str(line)
-                .map_err(|error| damaged(path, &format!("line {number}: {error}")))?;
+            let found: Iteration = serde_json::from_str(line).map_err(|error| {
+                let cure = "put the file back from a copy";
+                damaged(path, &format!("line {number} is no iteration: {error}; {cure}"))
+            })?;
             if found.iteration != expected {
                 let what =
                     format!("line {number}: iteration {} instead of {expected}", found.iteration);
@@ -185,7 +187,7 @@ mod tests {
     #[test]
     fn a_damaged_line_is_named_and_never_ends_the_comparison_quietly() {
         let error = read(&format!("{}rubbish\n{}", line(0), line(2))).expect_err("damaged");
-        assert!(error.contains("metrics.jsonl: line 2: "), "{error}");
+        assert!(error.contains("metrics.jsonl: line 2 is no iteration: "), "{error}");
         let error = read(&format!("{}{}", line(0), line(2))).expect_err("a gap");
         assert!(error.contains("line 2: iteration 2 instead of 1"), "{error}");
         let error = read(&line(0).replace("0f\"", "xx\"")).expect_err("no digest");

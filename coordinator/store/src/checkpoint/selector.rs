@@ -223,7 +223,7 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
             };
             CheckpointError::NotFound { path, what }
         }
-        other => other,
+        other => other.or_another(store.root()),
     }
 }
 

@@ -1,13 +1,10 @@
 //! What a parser says of a description, in words of the file's line and keys instead of this program's types.
 
+use proto::config::in_line;
+
 /// The line of `text` at fault, and what is wrong with it.
 pub(super) fn in_words(error: &toml::de::Error, text: &str) -> String {
-    let said = without_types(error.message());
-    let at = error.span().and_then(|span| text.get(..span.start));
-    let Some(before) = at else { return said };
-    let number = before.matches('\n').count();
-    let line = text.lines().nth(number).unwrap_or_default().trim();
-    format!("line {}, `{line}`: {said}", number + 1)
+    in_line(error, text, &without_types(error.message()))
 }
 
 fn without_types(message: &str) -> String {
