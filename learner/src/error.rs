@@ -56,8 +56,8 @@ pub enum LearnerError {
     },
     /// A loss or a gradient is not finite.
     #[error(
-        "the {network} gradient of agent {agent} is not finite in iteration {iteration}, \
-         epoch {epoch}, mini-batch {mini_batch}; lower the learning rate or algorithm.max_grad_norm"
+        "the {network} gradient of agent {agent} is not finite in iteration {iteration}, {place}; lower the learning rate, \
+         or set algorithm.max_grad_norm to a small number above 0 (0 turns it off)"
     )]
     Diverged {
         /// `actor` or `critic`.
@@ -66,15 +66,13 @@ pub enum LearnerError {
         agent: usize,
         /// The iteration.
         iteration: u64,
-        /// The epoch, from 0.
-        epoch: usize,
-        /// The mini-batch, from 0.
-        mini_batch: usize,
+        /// Which optimiser step of it, in words.
+        place: String,
     },
     /// Parameters are not finite after an update.
     #[error(
-        "the {network} of agent {agent} holds {what} after iteration {iteration}; lower the learning rate \
-         or algorithm.max_grad_norm. The checkpoints of before are as they were"
+        "the {network} of agent {agent} holds {what} after iteration {iteration}; lower the learning rate, \
+         or set algorithm.max_grad_norm to a small number above 0 (0 turns it off). The checkpoints of before are as they were"
     )]
     Unbounded {
         /// `actor` or `critic`.

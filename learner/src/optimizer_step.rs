@@ -169,13 +169,13 @@ impl Descent {
     }
 }
 
-/// Refuses norms that are not finite; `step` is epoch and mini-batch.
+/// Refuses norms that are not finite; `place` says of which step of the iteration they are.
 pub(crate) fn check(
     norms: &[f64],
     network: &'static str,
     actors: Actors,
     iteration: u64,
-    (epoch, mini_batch): (usize, usize),
+    place: impl FnOnce() -> String,
 ) -> Result<(), LearnerError> {
     match norms.iter().position(|norm| !norm.is_finite()) {
         None => Ok(()),
@@ -183,8 +183,7 @@ pub(crate) fn check(
             network,
             agent: actors.first + actors.step * index,
             iteration,
-            epoch,
-            mini_batch,
+            place: place(),
         }),
     }
 }

@@ -101,8 +101,8 @@ struct Contract<'a> {
 
 const HEAD: &str = "\
 # What the controller of this directory takes and gives, what it was trained with, and what it is not for.
-# Inputs are in the order of controller.onnx; a leading dimension `batch` is not written. The struct octopus_state
-# of controller.h has the same numbers, but for the last command and, where there are any, postures: octopus_memory keeps them.
+# Inputs are in the order of controller.onnx; a leading dimension `batch` is not written. The structs octopus_state
+# and octopus_goals of controller.h have the same numbers, but for the last command and, where there are any, postures: octopus_memory keeps them.
 # `range` is what the C code accepts, `ranges` of each element where they differ; `seen` is what the 256 states of vectors.json hold.
 
 ";
@@ -152,14 +152,11 @@ pub(crate) fn contract(source: &Source<'_>, vectors: &Vectors) -> String {
             c: "the same bits as our workers, wherever single precision is IEEE 754 and fmaf is correctly rounded",
             onnx: "within onnx_tolerance_rad_s of the commands in vectors.json",
             onnx_tolerance_rad_s: source.onnx_tolerance(),
-            why: match config.network.inference {
-                Inference::F32 => {
-                    "A runtime sums in another order than we do, and its sines and exponentials round otherwise."
-                }
-                Inference::Bf16 => {
-                    "Weights and activations of hidden layers after the first are bfloat16 in the graph as in our workers. A \
-                     runtime sums in another order, so an activation between two bfloat16 may go to the other one."
-                }
+            why: if source.rounds() {
+                "Weights and activations of hidden layers after the first are bfloat16 in the graph as in our workers. A \
+                 runtime sums in another order, so an activation between two bfloat16 may go to the other one."
+            } else {
+                "A runtime sums in another order than we do, and its sines and exponentials round otherwise."
             },
         },
         refusals: Refusals {
@@ -343,7 +340,7 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
             "base_position",
             "m",
             "world",
-            "origin of the base, the centre of its cube; home.base_position at home",
+            "origin of the base's frame, in which the robot file places its boxes and mounts; home.base_position at home",
             xyz(),
             1e6,
         ),
@@ -353,7 +350,8 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
             "base to world",
             "unit quaternion, not normalised here",
             names(&["w", "x", "y", "z"]),
-            1.001,
+            // The C code takes 1.001 for the square of its length.
+            1.001_f64.sqrt(),
         ),
         port("base_velocity", "m/s", "world", "velocity of the base's origin", xyz(), 1e6),
         port("base_angular_velocity", "rad/s", "base", "angular velocity of the base", xyz(), 1e6),

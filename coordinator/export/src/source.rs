@@ -82,10 +82,13 @@ impl Source<'_> {
     /// bfloat16, one that lies between two of them may go the other way and is off by 1/256 of itself: single units, whose
     /// weights are some hundredths. Ten times what was seen.
     pub(crate) fn onnx_tolerance(&self) -> f64 {
-        match self.world.config.network.inference {
-            Inference::F32 => 2e-4,
-            Inference::Bf16 => 2e-3,
-        }
+        if self.rounds() { 2e-3 } else { 2e-4 }
+    }
+
+    /// Whether a layer has bfloat16 weights: hidden ones after the first.
+    pub(crate) fn rounds(&self) -> bool {
+        let network = &self.world.config.network;
+        network.inference == Inference::Bf16 && network.hidden.len() > 1
     }
 
     /// Joints of the longest arm: what arms tell of theirs has room for so many.

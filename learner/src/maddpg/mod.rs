@@ -318,7 +318,9 @@ impl Maddpg {
         compute.unfold(&critic.flat, gradient);
         let norms =
             self.descent.step(critic, &mut self.critic, &vec![shared.critic_lr; agents], &active);
-        check(&norms, "critic", Actors::all(agents), shared.iteration, (0, update))?;
+        check(&norms, "critic", Actors::all(agents), shared.iteration, || {
+            format!("update {update}")
+        })?;
         sums.critic(mean(error.square()).into_iter(), &norms);
         let variance = |x: &Tensor| x.to_kind(Kind::Double).var_dim(&[1i64][..], false, false);
         let share = 1.0 - variance(&error) / variance(&target).clamp_min(1e-12);
@@ -349,7 +351,9 @@ impl Maddpg {
         compute.unfold(&actor.flat, gradient);
         let norms =
             self.descent.step(actor, &mut self.actor, &vec![shared.actor_lr; agents], &active);
-        check(&norms, "actor", Actors::all(agents), shared.iteration, (0, update))?;
+        check(&norms, "actor", Actors::all(agents), shared.iteration, || {
+            format!("update {update}")
+        })?;
         let zeros = || std::iter::repeat_n(0.0, agents);
         sums.actor(&active, mean(-value).into_iter(), zeros(), zeros(), &norms);
 

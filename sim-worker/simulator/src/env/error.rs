@@ -30,8 +30,8 @@ pub enum EpisodeError {
     },
     /// The simulation has diverged.
     #[error(
-        "environment {env}, step {step}{agent}: {quantity} is {value}, beyond ±{limit}; the \
-         simulation has diverged, try a smaller env.substep",
+        "environment {env}, step {step}{agent}: {quantity} is {value}, not within ±{limit}; the \
+         simulation has diverged: a smaller env.substep helps, or smaller forces",
         agent = agent.map_or_else(String::new, |agent| format!(", agent {agent}"))
     )]
     State {

@@ -48,7 +48,7 @@ fn a_state_beyond_bounds_is_named() {
     state.base_position[1] = -2e3;
     let message =
         check_state(&Joints::of_sixes(4), &state, 40, 3, 8, 7).expect_err("far").to_string();
-    assert!(message.contains("step 7: base position (m) is -2000, beyond ±1000"), "{message}");
+    assert!(message.contains("step 7: base position (m) is -2000, not within ±1000"), "{message}");
 }
 
 #[test]
