@@ -13,7 +13,7 @@ use simulator::robot::{MAX_ARMS, Robot, RobotError};
 use crate::alike::Build;
 use crate::bodies::{Shapes, Solid, euler_deg};
 use crate::chain::{Chain, chain};
-use crate::document::{Document, Joint};
+use crate::document::{Document, Inertial, Joint};
 use crate::error::UrdfError;
 use crate::names::{names, plain};
 use crate::tree::{Arm, Tree, shown};
@@ -181,6 +181,10 @@ pub fn import(
     notes.push(format!(
         "armatures, which URDF has not, are {ARMATURE} kg m², and gains of servos {GAIN} N m s/rad"
     ));
+    let no_weight = |inertial: &Inertial| inertial.mass <= 0.0 && inertial.inertia.norm() > 0.0;
+    for link in document.links.iter().filter(|link| link.inertial.as_ref().is_some_and(no_weight)) {
+        notes.push(format!("the inertia of link `{}` is left out: it has no mass", link.name));
+    }
     for what in &document.ignored {
         notes.push(format!("passed over: {what}"));
     }

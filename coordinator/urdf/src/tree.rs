@@ -1,6 +1,6 @@
 //! The tree of links: what is fixed together, and the arms that hang on the base.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use nalgebra::{Isometry3, Unit, Vector3};
 use simulator::robot::{MAX_JOINTS_PER_ARM, MIN_JOINTS_PER_ARM};
@@ -48,7 +48,12 @@ impl<'d> Tree<'d> {
         }
         let mut parents: BTreeMap<&str, &Joint> = BTreeMap::new();
         let mut children: BTreeMap<&str, Vec<&'d Joint>> = BTreeMap::new();
+        let mut names = BTreeSet::new();
         for joint in &document.joints {
+            if !names.insert(joint.name.as_str()) {
+                let found = format!("two joints are called `{}`", joint.name);
+                return Err(UrdfError::robot(found, "give each a name of its own"));
+            }
             for end in [&joint.parent, &joint.child] {
                 if !links.contains_key(end.as_str()) {
                     let found = format!("joint `{}` names the link `{end}`", joint.name);

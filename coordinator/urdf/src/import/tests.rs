@@ -184,6 +184,17 @@ fn links_are_not_called_as_the_hand_is() {
 }
 
 #[test]
+fn inertia_without_a_mass_is_said_to_be_left_out() {
+    let more = "<link name=\"frame\"><inertial><mass value=\"0\"/><inertia ixx=\"5\" iyy=\"5\" izz=\"5\"/></inertial></link>\
+                <joint name=\"weld\" type=\"fixed\"><parent link=\"l1\"/><child link=\"frame\"/></joint></robot>";
+    let plain = one_arm(3, "revolute");
+    let notes = import(&plain.replace("</robot>", more), None, [0.0; 3]).expect("a robot").notes;
+    let said = |notes: &[String]| notes.iter().any(|note| note.contains("inertia of link `frame`"));
+    assert!(said(&notes), "{notes:?}");
+    assert!(!said(&import(&plain, None, [0.0; 3]).expect("a robot").notes));
+}
+
+#[test]
 fn what_is_no_robot_of_ours_is_refused_in_words() {
     let said = |text: &str| import(text, None, [0.0; 3]).expect_err("no robot").to_string();
     let six = one_arm(6, "revolute");
@@ -210,6 +221,7 @@ fn what_is_no_robot_of_ours_is_refused_in_words() {
         ),
         (six.replace("<parent link=\"l3\"/>", "<parent link=\"l2\"/>"), "joints move on link `l2`"),
         (six.replace("<child link=\"l6\"/>", "<child link=\"l2\"/>"), "hangs on two joints"),
+        (six.replace("name=\"j6\"", "name=\"j5\""), "two joints are called `j5`"),
         (six.replace("xyz=\"0.1 0 0.3\"", "xyz=\"0.1 0\""), "expected three numbers"),
         (six.replace("value=\"2\"", "value=\"nan\""), "expected a number between -1e9 and 1e9"),
         (six.replace("<mass value=\"2\"/>", ""), "no <mass>"),
