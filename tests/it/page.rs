@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::Value;
+use tests::guide::repository;
 use tests::{Owned, Run, kill, octopus, program, python, stderr};
 
 /// The browser, if both it and the page are there.
@@ -252,6 +253,24 @@ fn a_policy_is_served_to_whoever_has_the_address() {
     assert!(address.contains("/#policy=trajectory&token="), "{address}");
     browse(&chromium, &["served", &address]);
     drop(viewed);
+}
+
+/// The page and `octopus plot` have one band for one learning.
+#[test]
+fn runs_belong_together_as_the_configuration_says() {
+    let path = repository().join("coordinator/web/src/runs/alike.ts");
+    let text = std::fs::read_to_string(path).expect("the page's source");
+    let (_, list) = text.split_once("HOUSEKEEPING = [").expect("a list");
+    let (list, _) = list.split_once(']').expect("its end");
+    let mut found: Vec<&str> = list.split('"').filter(|name| name.starts_with("run.")).collect();
+    found.sort_unstable();
+    let mut expected: Vec<String> = proto::config::Run::HARMLESS
+        .iter()
+        .chain(&["seed"])
+        .map(|key| format!("run.{key}"))
+        .collect();
+    expected.sort_unstable();
+    assert_eq!(found, expected);
 }
 
 /// A run that is over: a block of a kept policy is made again in the page, and is what the learner recorded; checkpoints are compared. Then

@@ -30,7 +30,7 @@ async function main(): Promise<void> {
         await admitted();
         const health = await json<Health>("health");
         if (health.serves === "runs") {
-            document.body.append(header(), (await RunsRoom.open()).element);
+            document.body.append(header(), (await RunsRoom.open(refused)).element);
             document.body.dataset["ready"] = String(Math.round(performance.now()));
             return;
         }

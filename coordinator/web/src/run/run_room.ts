@@ -26,7 +26,8 @@ export class RunRoom {
     private readonly processes = h("div");
     private slider: Slider | undefined;
     private wanted = 0;
-    private deaths = 0;
+    /** As many as were heard of; what was before is no news. */
+    private deaths: number | undefined;
 
     constructor(
         private readonly feed: Feed,
@@ -90,7 +91,7 @@ export class RunRoom {
         if (live === undefined) {
             const state = !heard ? "not heard" : trains === undefined ? "–" : trains ? "trains" : "at rest";
             this.tiles.replaceChildren(tile("State", state), tile("Iterations", grouped((last?.iteration ?? -1) + 1)), tile("Env-steps", grouped(last?.env_steps ?? 0)));
-            this.deaths = 0;
+            this.deaths = undefined;
             return;
         }
         this.checkpoints.show(this.feed.checkpoints ?? [], true);
@@ -112,7 +113,7 @@ export class RunRoom {
             this.slider?.set(live.workers);
         }
         const deaths = live.worker_restarts + live.learner_restarts;
-        if (deaths > this.deaths) notice("A process has died and was replaced; what is learned does not change");
+        if (this.deaths !== undefined && deaths > this.deaths) notice("A process has died and was replaced; what is learned does not change");
         this.deaths = deaths;
         const refused = live.refused_hosts.map(({ name, reason }) => h("p", { class: "refused" }, `${name} was thrown out: it ${reason}`));
         this.processes.replaceChildren(table(live.processes), ...hosts(live.hosts), ...refused, ...bucket(live.bucket));

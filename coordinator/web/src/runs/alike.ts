@@ -14,8 +14,25 @@ export interface Family {
     runs: Run[];
 }
 
-/** What changes nothing that is learned. */
-const HOUSEKEEPING = ["run.seed", "run.workers", "run.pin", "run.time_limit_s", "run.checkpoints", "run.checkpoints_kept", "run.checkpoint_every", "run.audit", "run.order_deadline_s", "run.learner_threads"];
+/** What changes nothing that is learned, as `Run::HARMLESS` has it, and the seed. */
+const HOUSEKEEPING = [
+    "run.seed",
+    "run.audit",
+    "run.best_after",
+    "run.checkpoint_every",
+    "run.checkpoint_every_s",
+    "run.checkpoints",
+    "run.checkpoints_kept",
+    "run.evaluate_every",
+    "run.evaluation_episodes",
+    "run.evaluation_steps",
+    "run.keep_every",
+    "run.milestone_every_s",
+    "run.order_deadline_s",
+    "run.pin",
+    "run.time_limit_s",
+    "run.workers",
+];
 
 /** Runs that differ in their seeds alone belong together. */
 export function families(runs: Run[]): Family[] {

@@ -20,8 +20,10 @@ const PANELS: Panel[] = [
     { title: "Orientation error", unit: "mrad, training", log: true, value: (m) => 1000 * m.errors.orientation },
     { title: "Attitude error of the base", unit: "mrad, training", log: true, value: (m) => 1000 * m.errors.base },
 ];
-/** Places along a curve; more than a screen shows. */
+/** Places along the curve of a family; more than a screen shows. */
 const PLACES = 400;
+/** Places of all families together, where there are many. */
+const MOST_PLACES = 8000;
 
 export class Overlay {
     readonly element = h("section", { class: "growth", aria: { label: "Curves of the chosen runs" } });
@@ -34,14 +36,13 @@ export class Overlay {
     show(families: Family[], lines: Map<string, Metrics[]>): void {
         for (const plot of this.plots) plot.destroy();
         this.element.replaceChildren();
-        this.plots = PANELS.map((panel) => this.panel(panel, families, lines));
+        const places = placesOf(families, lines);
+        this.plots = PANELS.map((panel) => this.panel(panel, families, lines, places));
     }
 
-    private panel(panel: Panel, families: Family[], lines: Map<string, Metrics[]>): uPlot {
+    private panel(panel: Panel, families: Family[], lines: Map<string, Metrics[]>, places: number[]): uPlot {
         const box = h("figure", { class: "curve card" }, h("figcaption", {}, h("b", {}, panel.title), `  ${panel.unit}`));
         this.element.append(box);
-        const most = Math.max(1, ...[...lines.values()].map((of) => of.at(-1)?.env_steps ?? 0));
-        const places = Array.from({ length: PLACES }, (_, i) => ((i + 1) * most) / PLACES);
         const data: (number | null)[][] = [places];
         const series: uPlot.Series[] = [{}];
         const bands: uPlot.Band[] = [];
@@ -87,6 +88,16 @@ export class Overlay {
         const columns = Math.max(1, getComputedStyle(this.element).gridTemplateColumns.split(" ").length);
         return { width: Math.max(160, Math.floor((this.element.clientWidth - 16 * (columns - 1)) / columns) - 36), height: 220 };
     }
+}
+
+/** Places of all families: each has as many along its own curve, so that a short one beside a long one is drawn, too. */
+function placesOf(families: Family[], lines: Map<string, Metrics[]>): number[] {
+    const count = Math.min(PLACES, Math.ceil(MOST_PLACES / families.length));
+    const of = ({ runs }: Family): number[] => {
+        const most = Math.max(0, ...runs.map(({ name }) => lines.get(name)?.at(-1)?.env_steps ?? 0));
+        return most === 0 ? [] : Array.from({ length: count }, (_, i) => ((i + 1) * most) / count);
+    };
+    return [...new Set(families.flatMap(of))].sort((a, b) => a - b);
 }
 
 /** The last value up to each place; nothing before the first and after the last. */

@@ -1,7 +1,7 @@
 // All runs of a directory: a list, and the curves of the chosen ones over each other.
 
 import { h, notice, put } from "../page/dom";
-import { ask, json } from "../page/service";
+import { Refusal, ask, json } from "../page/service";
 import { onTheme } from "../page/theme";
 import { grouped, type Metrics } from "../run/status";
 import { ofArm } from "../scene/colours";
@@ -38,13 +38,14 @@ export class RunsRoom {
     /** What the legend says. */
     private said = "";
 
-    static async open(): Promise<RunsRoom> {
-        const room = new RunsRoom();
+    /** `refused` says what the service has refused with, and is true where it is worth asking again. */
+    static async open(refused: (refusal: Refusal) => Promise<boolean>): Promise<RunsRoom> {
+        const room = new RunsRoom(refused);
         await room.look();
         return room;
     }
 
-    private constructor() {
+    private constructor(private readonly refused: (refusal: Refusal) => Promise<boolean>) {
         const head = h("tr", {}, h("th", {}, "run"), h("th", { class: "number" }, "iterations"), h("th", { class: "number" }, "return"), h("th", {}), h("th", {}));
         this.table = h("table", { hidden: true }, h("thead", {}, head), this.body);
         const list = h("section", { class: "card runs" }, h("h2", {}, "Runs"), this.none, this.table);
@@ -58,7 +59,8 @@ export class RunsRoom {
         try {
             if (!document.hidden) await this.refresh();
         } catch (error) {
-            notice(error instanceof Error ? error.message : String(error), "error");
+            if (error instanceof Refusal) await this.refused(error);
+            else notice(error instanceof Error ? error.message : String(error), "error");
         }
         setTimeout(() => void this.look(), LOOK);
     }
