@@ -145,7 +145,7 @@ refused(RuntimeError, "closed", env.step, actions_by_name)
 refused(RuntimeError, "closed", env.reset)
 envs = spaceoctopus.VectorEnv(3, set=SHORT)
 refused(RuntimeError, "reset first", envs.step, np.zeros((3, 24)))
-envs.reset(seed=1)
+envs.reset(seed=np.int64(1))
 refused(ValueError, "expected (3, 24)", envs.step, np.zeros((3, 8, 3)))
 refused(ValueError, "are not known", envs.reset, options={"speed": 2})
 refused(ValueError, "-1 is out of range", envs.reset, seed=-1)
@@ -278,6 +278,7 @@ refused(ValueError, "base_goal has no meaning here: the policy learned `trajecto
 turning = load(ROOT / "deploy" / "policies" / "reorientation")
 one_row = np.where(np.arange(24).reshape(4, 6) // 6 == 2, 0.1, np.nan)
 refused(ValueError, "hand_goal[2] has no meaning here: the policy learned `reorientation`", turning.play, 0, 1, hand_goal=one_row)
+assert turning.play(0, 1, base_goal=[np.nan] * 3)["base_error"].tolist() == turning.play(0, 1)["base_error"].tolist(), "NaN keeps it"
 assert turning.play(0, 1, base_goal=[0.1, 0, 0], hand_goal=np.full((4, 6), np.nan))["base_error"].shape == (1, 3)
 postures, twin = spaceoctopus.Postures("guided"), spaceoctopus.Postures("guided")
 known = [np.zeros(3), np.array([1, 0, 0, 0]), np.zeros((4, 6)), np.full((4, 6), 0.1)]

@@ -145,7 +145,7 @@ impl Policy {
     /// "base_quaternion" [T, 4] (w first), "base_angular_velocity" [T, 3] (rad/s, base axes), "joint_angles" [T, arms, J] (rad), "contacts"
     /// [T, 4] (touching pairs: arm and base, arm and mount, arm and itself, two arms).
     ///
-    /// `hand_goal` [arms, 6] (m and Euler angles in rad, world) and `base_goal` [3] (rad) replace the episode's; a row of NaN keeps it. `ValueError`
+    /// `hand_goal` [arms, 6] (m and Euler angles in rad, world) and `base_goal` [3] (rad) replace the episode's; where all of a goal is NaN, it stays. `ValueError`
     /// for a goal of what the policy does not move to a goal.
     #[pyo3(signature = (episode = 0, steps = 200, *, seed = 0, hand_goal = None, base_goal = None))]
     fn play<'py>(
@@ -244,9 +244,11 @@ fn fixed(
         has_shape(&goal, "base_goal", &[3])?;
         let numbers = goal.try_readonly()?.as_slice()?.to_vec();
         let attitude = <[f64; 3]>::try_from(numbers.as_slice()).expect("three numbers");
-        sensible("base_goal", &attitude)?;
-        meant(task.turns(), "base_goal")?;
-        fixed.base = Some(attitude);
+        if !attitude.iter().all(|x| x.is_nan()) {
+            sensible("base_goal", &attitude)?;
+            meant(task.turns(), "base_goal")?;
+            fixed.base = Some(attitude);
+        }
     }
     Ok(fixed)
 }

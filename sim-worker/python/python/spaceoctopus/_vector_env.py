@@ -1,5 +1,7 @@
 """Many environments for Gymnasium."""
 
+import operator
+
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -73,6 +75,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         """Begins episodes; returns observations [N, …] and infos."""
         if isinstance(seed, (list, tuple, np.ndarray)):
             raise ValueError("seed is a list: one seed is the run's, and environments are told apart by their index")
+        # Gymnasium takes Python's own integers alone, and only after the episodes have begun.
+        seed = None if seed is None else operator.index(seed)
         options = dict(options or {})
         begin = {"iteration": options.pop("iteration", None), "first": options.pop("env", None), "goals": options.pop("goals", None)}
         mask = options.pop("reset_mask", None)
