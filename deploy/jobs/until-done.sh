@@ -7,7 +7,9 @@
 set -eu
 asked=no
 pid=
-trap 'asked=yes; [ -z "$pid" ] || kill -TERM "$pid"' TERM
+trap 'asked=yes; [ -z "$pid" ] || kill -TERM "$pid"' TERM HUP
+# Ctrl-C goes to all who belong to the terminal: once more would be a second request.
+trap 'asked=yes' INT
 "$(dirname "$0")/train-or-resume.sh" "$@" &
 pid=$!
 # A signal that came before there was anybody to pass it on to.

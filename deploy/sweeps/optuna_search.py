@@ -22,6 +22,11 @@ from optuna.trial import TrialState
 # Errors that the paper reports: in their units, 1 is as good as the paper.
 PAPER = {"position": 0.025, "orientation": 0.04, "base": 0.03}
 
+# Exit code of a run whose learner or worker has failed for good: a gradient that is not finite, say.
+FAILED_FOR_GOOD = 6
+# So many trials in a row that fail are not the fault of what is tried.
+MOST_FAILURES = 3
+
 
 def octopus(*words):
     """Runs a command of octopus; returns what it prints as JSON."""
@@ -50,6 +55,18 @@ def train(run, sets, budget):
         ended = octopus("train", "--run-dir", str(run), *budget, *words, *quiet)
     if ended["stopped_by"] != "budget":
         sys.exit(f"{run}: stopped; the same command goes on")
+
+
+def trains(run, sets, budget):
+    """Whether it can be trained to the end; what fails is resumed once."""
+    for _ in range(2):
+        try:
+            train(run, sets, budget)
+            return True
+        except subprocess.CalledProcessError as error:
+            if error.returncode != FAILED_FOR_GOOD:
+                raise
+    return False
 
 
 def score(run, episodes):
@@ -83,6 +100,7 @@ def main():
     for trial in [trial for trial in waiting if "sets" not in trial.user_attrs]:
         study.tell(trial.number, state=TrialState.FAIL)
         waiting.remove(trial)
+    failures = 0
     while len(study.get_trials(states=(TrialState.COMPLETE,))) < args.trials:
         if waiting:
             number, sets = waiting[0].number, waiting.pop(0).user_attrs["sets"]
@@ -91,7 +109,15 @@ def main():
             number, sets = trial.number, propose(trial)
             trial.set_user_attr("sets", sets)
         run = args.out / f"trial-{number:04d}"
-        train(run, sets, budget)
+        # Everything else, a full disk say, ends the search, and the same command tries the trial again.
+        if not trains(run, sets, budget):
+            study.tell(number, state=TrialState.FAIL)
+            failures += 1
+            print(f"trial {number}: failed, see {run}/logs, with {sets}")
+            if failures == MOST_FAILURES:
+                sys.exit(f"{failures} trials in a row failed")
+            continue
+        failures = 0
         found = score(run, args.episodes)
         study.tell(number, found)
         print(f"trial {number}: score {found:.3f} with {sets}")

@@ -1,11 +1,12 @@
 //! What supervisors and clusters start: `deploy/jobs`.
 
 use std::net::TcpListener;
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal};
 use tempfile::TempDir;
 use tests::guide::repository;
 use tests::{Owned, Run, SMALL, crosscheck, kill, processes_with, program, python, stderr};
@@ -86,15 +87,29 @@ fn who_is_stopped_before_the_end_says_so() {
     let place = tempfile::tempdir().expect("tempdir");
     let run = place.path().join("run");
     let job = || {
-        let mut command = Command::new(jobs().join("until-done.sh"));
+        // What runs in the background of a script is started deaf to SIGINT, below `nohup` to SIGHUP, and a shell stays so.
+        let mut command = Command::new("env");
+        command.arg("--default-signal=INT,HUP").arg(jobs().join("until-done.sh"));
         command.arg(&run).arg("trajectory").args(SMALL).arg(ITERATIONS);
         command.env("OCTOPUS", program("octopus")).env("OCTOPUS_ALWAYS", "--listen 127.0.0.1:0");
         command
     };
-    let mut started = Owned::spawn(job().stdout(Stdio::null()).stderr(Stdio::null()));
-    wait_for_lines(&run.join("metrics.jsonl"), 5);
-    kill(started.id(), Signal::TERM);
-    assert_eq!(started.code(), Some(143));
+    let metrics = run.join("metrics.jsonl");
+    for signal in [Signal::TERM, Signal::HUP, Signal::INT] {
+        let before = std::fs::read_to_string(&metrics).map_or(0, |text| text.lines().count());
+        let mut job = job();
+        job.stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
+        let mut started = Owned::spawn(&mut job);
+        wait_for_lines(&metrics, before + 5);
+        if signal == Signal::INT {
+            // As a terminal does: to all that run in it.
+            let group = Pid::from_raw(started.id() as i32).expect("a process");
+            rustix::process::kill_process_group(group, signal).expect("it runs");
+        } else {
+            kill(started.id(), signal);
+        }
+        assert_eq!(started.code(), Some(143), "{signal:?}");
+    }
     for _ in 0..2 {
         let ended = job().output().expect("it starts");
         assert!(ended.status.success(), "{}", stderr(&ended));

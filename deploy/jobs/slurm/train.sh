@@ -52,7 +52,7 @@ fi
 
 "$root/deploy/jobs/until-done.sh" "$@" &
 pid=$!
-trap 'kill -TERM "$pid"' TERM
+trap 'kill -TERM "$pid"' TERM HUP
 status=0
 wait "$pid" || status=$?
 # A signal ends the first wait, not the training.
@@ -61,7 +61,7 @@ while kill -0 "$pid" 2>/dev/null; do
     wait "$pid" || status=$?
 done
 if [ -n "$helpers" ]; then
-    # They have been told that the run is over; one that could not hear it is told to leave.
+    # Where the run goes on later, they would wait for it; that is another job's.
     kill -TERM "$helpers" 2>/dev/null || true
     wait "$helpers" || true
 fi
