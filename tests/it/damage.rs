@@ -375,8 +375,8 @@ fn what_learners_write_is_what_is_expected() {
             "--set=network.layer_norm=true",
         ],
     ] {
-        let mut run =
-            Run::train(&[&["--iterations=2", "--set=run.evaluate_every=0"], more].concat());
+        let few = ["--iterations=2", "--set=run.evaluate_every=0", "--set=run.checkpoints_kept=1"];
+        let mut run = Run::train(&[&few[..], more].concat());
         run.succeed();
         let verified = octopus(&["checkpoints", "verify", text(&run.path())]);
         assert!(verified.status.success(), "{more:?}: {}", stderr(&verified));

@@ -216,7 +216,10 @@ fn a_policy_acts_the_same_in_numpy() {
     ] {
         let mut run = Run::train(
             &[
-                &["--iterations=3", "--set=network.hidden=[16,16]", "--set=network.head_gain=1.0"],
+                &["--iterations=3", "--set=network.hidden=[16,16]", "--set=network.head_gain=1.0"]
+                    [..],
+                // What is replayed makes them large.
+                &["--set=run.checkpoints_kept=1"],
                 more,
             ]
             .concat(),
