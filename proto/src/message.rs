@@ -131,10 +131,17 @@ pub enum Order {
     /// The learner shall send a snapshot of its state beside those that the configuration plans: at
     /// once if it is between iterations, otherwise after the iteration that it trains on.
     Snapshot,
-    /// What comes before [`Self::Stop`] where a signal ends the run before its budget: machines that help shall wait until it goes on.
-    Unfinished,
-    /// Everybody shall finish what is at hand and exit.
-    Stop,
+    /// Everybody shall finish what is at hand and exit; machines that help shall wait for a run that was stopped.
+    Stop(RunEnd),
+}
+
+/// Why everybody shall exit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RunEnd {
+    /// As was planned.
+    Over,
+    /// A signal has stopped the run before its budget was done; it may be resumed.
+    Stopped,
 }
 
 /// Episodes `first..first + episodes` of the held-out evaluation of a policy.

@@ -107,6 +107,8 @@ impl InFlight {
 
 #[cfg(test)]
 mod tests {
+    use proto::message::RunEnd;
+
     use super::*;
 
     #[test]
@@ -123,7 +125,10 @@ mod tests {
         let episodes = EvaluationChunk { policy_version: 9, first: 16, episodes: 16 };
         let evaluation = Order::Evaluate { worker: 1000, incarnation: 1, episodes };
         assert_eq!(Single::all(&evaluation)[0].order(), evaluation);
-        assert_eq!((Single::all(&Order::Stop), Single::all(&Order::Snapshot)), (vec![], vec![]));
+        assert_eq!(
+            (Single::all(&Order::Stop(RunEnd::Over)), Single::all(&Order::Snapshot)),
+            (vec![], vec![])
+        );
         let mut in_flight = InFlight::default();
         assert!(in_flight.begin(&singles[0]) && in_flight.begin(&singles[1]));
         assert!(!in_flight.begin(&singles[0]));

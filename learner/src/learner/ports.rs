@@ -67,7 +67,7 @@ impl Ports {
         while let Some(order) = self.orders.try_receive()? {
             match order {
                 Order::Snapshot => self.wants_snapshot = true,
-                Order::Stop => self.wants_stop = true,
+                Order::Stop(_) => self.wants_stop = true,
                 Order::Discard { host, gateway } => {
                     for (iteration, shard) in self.inbox.discard(gateway, host) {
                         self.progress.send(&Progress::BlockDiscarded { iteration, shard })?;

@@ -131,10 +131,7 @@ impl Group {
         }
         let rates: Vec<f64> = self.actors.iter().map(|actor| inputs.actor_lr[actor]).collect();
         let norms = inputs.options.descent.step(network, &mut self.actor, &rates, active);
-        check(&norms, "actor", self.actors, inputs.iteration, || {
-            let (epoch, mini_batch) = batch.step;
-            format!("epoch {epoch}, mini-batch {mini_batch}")
-        })?;
+        check(&norms, "actor", self.actors, inputs.iteration, || batch.place())?;
         inputs.options.actor_loss.project(&network.spec.learned("log_std", &network.flat));
         sums.actor(&count, column(0), column(1), column(2), &norms);
         Ok(kl)
@@ -152,10 +149,7 @@ impl Group {
         let active = vec![true; self.critics.len];
         let rates = vec![inputs.critic_lr; self.critics.len];
         let norms = inputs.options.descent.step(network, &mut self.critic, &rates, &active);
-        check(&norms, "critic", self.actors, inputs.iteration, || {
-            let (epoch, mini_batch) = batch.step;
-            format!("epoch {epoch}, mini-batch {mini_batch}")
-        })?;
+        check(&norms, "critic", self.actors, inputs.iteration, || batch.place())?;
         // Those who share a critic share its norm.
         let norms: Vec<f64> = norms.iter().copied().cycle().take(self.actors.len).collect();
         sums.critic(losses.into_iter().map(f64::from), &norms);

@@ -26,6 +26,14 @@ pub(super) struct MiniBatch<'a> {
     pub(super) work: &'a AtomicU64,
 }
 
+impl MiniBatch<'_> {
+    /// Where it is in an iteration, in words.
+    pub(super) fn place(&self) -> String {
+        let (epoch, mini_batch) = self.step;
+        format!("epoch {epoch}, mini-batch {mini_batch}")
+    }
+}
+
 impl Group {
     /// Writes the actors' gradient; returns statistics `[A, 3]`: means over the mini-batch of the surrogate loss, of the divergence and of the clipped ratios.
     pub(super) fn actor_gradient(

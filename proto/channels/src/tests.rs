@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use proto::config::{Layers, Preset};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
-use proto::message::{Order, Progress, Status};
+use proto::message::{Order, Progress, RunEnd, Status};
 
 use crate::*;
 
@@ -43,10 +43,10 @@ fn orders_reach_every_receiver_and_ring_the_bell() {
     let orders = coordinator.order_sender().expect("sender");
     let receivers = [worker.order_receiver().expect("a"), worker.order_receiver().expect("b")];
     let bell = worker.listener(Role::Workers).expect("listener");
-    orders.send(&Order::Stop).expect("send");
+    orders.send(&Order::Stop(RunEnd::Over)).expect("send");
     bell.wait(Duration::from_secs(5));
     for receiver in &receivers {
-        assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop));
+        assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop(RunEnd::Over)));
         assert_eq!(receiver.try_receive().expect("receive"), None);
     }
 }
@@ -61,10 +61,16 @@ fn an_order_that_a_full_receiver_misses_names_that_receiver() {
         assert!(orders.send(&Order::Snapshot).expect("send").is_nobody());
         assert_eq!(quick.try_receive().expect("receive"), Some(Order::Snapshot));
     }
-    assert_eq!(orders.send(&Order::Stop).expect("send"), Missed::By(vec![slow.port()]));
-    assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop));
+    assert_eq!(
+        orders.send(&Order::Stop(RunEnd::Over)).expect("send"),
+        Missed::By(vec![slow.port()])
+    );
+    assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop(RunEnd::Over)));
     assert_eq!(slow.try_receive().expect("receive"), Some(Order::Snapshot));
-    assert!(orders.send(&Order::Stop).expect("send").is_nobody(), "there is room again");
+    assert!(
+        orders.send(&Order::Stop(RunEnd::Over)).expect("send").is_nobody(),
+        "there is room again"
+    );
 }
 
 #[test]
@@ -94,9 +100,9 @@ fn an_order_without_a_slot_is_missed_by_all_until_somebody_reads() {
     assert!(sent >= 16 * sizes.order_buffer, "{sent}");
     let awake = still.remove(0);
     while awake.try_receive().expect("receive").is_some() {}
-    let missed = orders.send(&Order::Stop).expect("no error");
+    let missed = orders.send(&Order::Stop(RunEnd::Over)).expect("no error");
     assert!(!missed.includes(quick.port()) && !missed.includes(awake.port()));
-    assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop));
+    assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop(RunEnd::Over)));
 }
 
 #[test]
@@ -124,9 +130,9 @@ fn orders_of_many_workers_take_what_was_reckoned_with() {
     let orders = channels.order_sender().expect("sender");
     let receivers: Vec<_> =
         (0..257).map(|_| channels.order_receiver().expect("receiver")).collect();
-    orders.send(&Order::Stop).expect("send");
+    orders.send(&Order::Stop(RunEnd::Over)).expect("send");
     for receiver in &receivers {
-        assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop));
+        assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop(RunEnd::Over)));
     }
     let taken = domain.0.size() - before;
     assert!(taken < 24 << 20, "{taken} bytes");
@@ -327,7 +333,7 @@ fn a_run_takes_no_more_than_its_budget() {
         .collect();
     // All that can connect is connected.
     policy.update_connections();
-    orders.send(&Order::Stop).expect("send");
+    orders.send(&Order::Stop(RunEnd::Over)).expect("send");
     for (block, policies, orders, status, _) in &ports {
         block.update_connections();
         policies.try_receive().expect("receive");

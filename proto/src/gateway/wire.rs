@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::layout::layout_hash;
-use crate::message::HostId;
+use crate::message::{HostId, RunEnd};
 
 /// What a host says of itself when it wants to join.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,15 +105,6 @@ pub struct HubBeat {
     pub hosts: Vec<(HostId, u32)>,
     /// Whether the run has come to its end, and to which.
     pub end: Option<RunEnd>,
-}
-
-/// Why a hub says its last word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum RunEnd {
-    /// As was planned.
-    Over,
-    /// A signal has stopped the run before; it may be resumed.
-    Stopped,
 }
 
 /// What a host says twice a second and whenever it changes.

@@ -36,7 +36,7 @@ pub(super) fn take_orders(worker: &mut Worker<'_>) -> Result<(), ExitError> {
             {
                 worker.stopping = true;
             }
-            Ok(Some(Order::Stop)) => worker.stopping = true,
+            Ok(Some(Order::Stop(_))) => worker.stopping = true,
             Ok(Some(_)) => {}
             // A garbled message is reported and passed over; its order will be sent again.
             Err(error @ ChannelError::Decode { .. }) => worker.fail(&error.to_string(), None)?,

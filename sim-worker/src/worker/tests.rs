@@ -7,7 +7,7 @@ use channels::{ArraySample, ChannelSizes, Channels, Domain, MessageReceiver};
 use proto::ExitCode;
 use proto::config::{Layers, Preset};
 use proto::layout::{BlockHeader, PolicyHeader};
-use proto::message::{Order, Status};
+use proto::message::{Order, RunEnd, Status};
 use proto::run_dir::RunDir;
 use simulator::policy::initial_parameters as parameters;
 use simulator::robot::Robot;
@@ -164,7 +164,7 @@ fn every_sign_of_life_says_where_orders_are_taken() {
         let Status::Ready { orders: port, .. } = first else { panic!("{first:?}") };
         let next = wait_for(|| status.try_receive().expect("receive"));
         assert_eq!(next, Status::Heartbeat { worker: 2, incarnation: 1, orders: port });
-        orders.send(&Order::Stop).expect("send");
+        orders.send(&Order::Stop(RunEnd::Over)).expect("send");
         worker.join().expect("no panic").expect("a clean end");
     });
 }

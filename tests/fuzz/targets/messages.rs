@@ -4,7 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use proto::Digest;
-use proto::message::{IterationReport, Order, Progress, Status, decode, encode};
+use proto::message::{IterationReport, Order, Progress, RunEnd, Status, decode, encode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -30,7 +30,7 @@ fn seeds() -> Vec<Vec<u8>> {
             policy_version: 299,
             shards: vec![0, 1, 70_000],
         }),
-        encode(&Order::Stop),
+        encode(&Order::Stop(RunEnd::Over)),
         encode(&Progress::IterationDone(Box::new(report))),
         encode(&Progress::Failed { message: "words".to_owned() }),
         encode(&Status::Ready { worker: 1, incarnation: 2, orders: 3 }),

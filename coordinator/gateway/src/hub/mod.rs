@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 use channels::Role;
 use proto::gateway::pieces::Content;
-use proto::gateway::wire::{HubBeat, RunEnd};
-use proto::message::{self, HEARTBEAT, Order, Status, WORKERS_OF_A_HOST, WorkerId};
+use proto::gateway::wire::HubBeat;
+use proto::message::{self, HEARTBEAT, Order, RunEnd, Status, WORKERS_OF_A_HOST, WorkerId};
 use proto::{ExitCode, ExitError};
 use zenoh::qos::CongestionControl;
 use zenoh::query::Query;
@@ -56,7 +56,6 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
         incarnation: arguments.incarnation,
         deadline,
         said: None,
-        unfinished: false,
         reception,
         ports,
     };
@@ -85,8 +84,6 @@ struct Hub {
     deadline: Duration,
     /// When hosts and coordinator heard of this hub last.
     said: Option<Instant>,
-    /// The run ends before its budget.
-    unfinished: bool,
     ports: Ports,
 }
 
@@ -105,8 +102,8 @@ impl Hub {
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
             self.take_policies()?;
-            if self.take_orders()? {
-                self.tell_hosts(Some(if self.unfinished { RunEnd::Stopped } else { RunEnd::Over }));
+            if let Some(end) = self.take_orders()? {
+                self.tell_hosts(Some(end));
                 std::thread::sleep(LAST_WORD);
                 return Ok(());
             }
@@ -189,12 +186,12 @@ impl Hub {
         }
     }
 
-    /// Takes all orders that have come; whether the run is over.
-    fn take_orders(&mut self) -> Result<bool, ExitError> {
+    /// Takes all orders that have come; how the run ends, if it does.
+    fn take_orders(&mut self) -> Result<Option<RunEnd>, ExitError> {
         loop {
             let order = match self.ports.orders.try_receive() {
                 Ok(Some(order)) => order,
-                Ok(None) => return Ok(false),
+                Ok(None) => return Ok(None),
                 // A garbled one is passed over; it will be sent again.
                 Err(error @ channels::ChannelError::Decode { .. }) => {
                     tracing::error!("{error}");
@@ -203,8 +200,7 @@ impl Hub {
                 Err(error) => return Err(error.into()),
             };
             match &order {
-                Order::Unfinished => self.unfinished = true,
-                Order::Stop => return Ok(true),
+                Order::Stop(end) => return Ok(Some(*end)),
                 Order::Refuse { name } if self.hosts.refuse(name) => {
                     tracing::warn!(name, "makes other bits and is refused");
                     self.said = None;

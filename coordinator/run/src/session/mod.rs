@@ -35,7 +35,7 @@ use channels::{
 use process::originals::Originals;
 use proto::config::Config;
 use proto::layout::Dimensions;
-use proto::message::{Membership, Order, Progress, Status, WorkerId};
+use proto::message::{Membership, Order, Progress, RunEnd, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use service::live::LiveRun;
@@ -326,10 +326,11 @@ impl<'a> Session<'a> {
                 let stopped_by = self.stopped_by.unwrap_or_else(|| self.reason_to_end());
                 // A time limit is an end that was asked for; a signal may be a machine's that is wanted for something else.
                 let is_short = self.reason_to_end() != StoppedBy::Budget;
-                if stopped_by == StoppedBy::Signal && is_short {
-                    self.orders.send(Order::Unfinished)?;
-                }
-                self.orders.send(Order::Stop)?;
+                let end = match stopped_by {
+                    StoppedBy::Signal if is_short => RunEnd::Stopped,
+                    _ => RunEnd::Over,
+                };
+                self.orders.send(Order::Stop(end))?;
                 supervisor.wait_for_all(EXIT_DEADLINE);
                 return Ok(RunResult {
                     iterations: self.reported,
